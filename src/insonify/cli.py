@@ -1,0 +1,365 @@
+"""The command ``insonify``: subcommands, and the one place where errors become messages.
+
+Heavy imports wait until a command needs them, so that ``insonify --help`` is quick.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from insonify.errors import ConfigError, InsonifyError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insonify.mission import Step
+    from insonify.runs import Run
+    from insonify.scenarios import Config, Table
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    help="Simulate imaging sonar, map with it, and decide where to scan next.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+ScenarioArgument = Annotated[str, typer.Argument(help="Name of a scenario; see: scenarios")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="TOML file of settings, as printed by: config")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+
+
+class _Interrupted(BaseException):
+    """Ctrl-C; not a KeyboardInterrupt, which typer would turn into exit code 1."""
+
+
+def _interrupt(signum: int, frame: object) -> None:
+    raise _Interrupted
+
+
+def main() -> None:
+    """Run the command line; bad input is one sentence and exit code 2."""
+    signal.signal(signal.SIGINT, _interrupt)
+    try:
+        app()
+    except InsonifyError as err:
+        print(f"insonify: {err}", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+    except _Interrupted:
+        print("insonify: interrupted; nothing was written", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from insonify import __version__
+
+        print(f"insonify {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def scan(
+    scenario: Annotated[
+        str | None, typer.Argument(help="Name of a scenario; see: scenarios")
+    ] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="entropy, uniform or lawnmower.", show_default=False)
+    ] = None,
+    object_: Annotated[
+        Path | None, typer.Option("--object", metavar="MESH", help="Scan this mesh file instead.")
+    ] = None,
+    sonar: Annotated[str | None, typer.Option(help="Scan with this device; see: sonars")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
+    settings: SetOption = None,
+    config: ConfigOption = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Scan an object, decide where to scan next until it no longer pays, and report."""
+    from insonify.io.folders import result_folder, unused_folder
+    from insonify.runs import execute
+
+    chosen = _choices(planner=planner, seed=seed, sonar=sonar, object=_mesh_table(object_))
+    full = _configure(scenario, config, settings, chosen)
+    name = f"{full.scenario}-{full.planner}-seed{full.seed}"
+    folder = out or unused_folder(Path("insonify-runs") / name)
+    with result_folder(folder, force=force) as scratch, _interruptible() as interrupted:
+        with _progress() as watch:
+            run = execute(full, watch=watch, should_stop=interrupted)
+        if run.history:
+            _write_results(run, scratch)
+    result = run.result()
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        _print_result(result)
+    print(f"Report: {folder / 'report.html'}", file=sys.stderr)
+    if interrupted():
+        print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@app.command()
+def compare(
+    names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
+    settings: SetOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare the planners over seeds, beside the paper's Tables 2 and 3."""
+    from insonify.comparison import compare as compare_planners
+    from insonify.comparison import summarise
+
+    with _interruptible() as interrupted, _progress() as watch:
+        rows = compare_planners(
+            names, seeds, _layers(config, settings), watch=watch, should_stop=interrupted
+        )
+    table = summarise(rows)
+    if as_json:
+        print(json.dumps({"runs": rows, "table": table}, indent=2))
+    else:
+        _print_comparison(table)
+    if interrupted():
+        print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@app.command()
+def scenarios(as_json: JsonOption = False) -> None:
+    """List the named scenarios."""
+    from insonify.scenarios import scenarios as known
+
+    rows = [{"name": name, "title": table["title"]} for name, table in known().items()]
+    if as_json:
+        print(json.dumps(rows, indent=2))
+    else:
+        _print_listing(["name", "what it is"], [[row["name"], row["title"]] for row in rows])
+
+
+@app.command()
+def sonars(as_json: JsonOption = False) -> None:
+    """List the sonars known by name."""
+    from insonify.sonar.devices import sonar_presets
+
+    rows = [{"name": name, **table} for name, table in sonar_presets().items()]
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    cells = [
+        [
+            row["name"],
+            f"{row['azimuth_fov_deg']:g} x {row['elevation_fov_deg']:g}",
+            f"{row['beams']} x {row['bins']}",
+            f"{row['range_min_m']:g}-{row['range_max_m']:g}",
+            row["source"],
+        ]
+        for row in rows
+    ]
+    _print_listing(["name", "fan, deg", "beams x bins", "range, m", "source"], cells)
+
+
+@app.command("config")
+def show_config(
+    scenario: ScenarioArgument,
+    settings: SetOption = None,
+    config: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the full config of a scenario; scan --config takes it back."""
+    from insonify.io.configs import config_to_toml
+
+    full = _configure(scenario, config, settings, {})
+    if as_json:
+        print(json.dumps(full.model_dump(mode="json"), indent=2))
+    else:
+        print(config_to_toml(full), end="")
+
+
+def _choices(**given: Any) -> Table:
+    """The options that were given, as a layer of settings."""
+    return {key: value for key, value in given.items() if value is not None}
+
+
+def _mesh_table(mesh: Path | None) -> Table | None:
+    return None if mesh is None else {"mesh": str(mesh)}
+
+
+def _layers(config: Path | None, settings: list[str] | None) -> list[Table]:
+    from insonify.scenarios import parse_setting, read_config
+
+    layers = [read_config(config)] if config else []
+    return layers + [parse_setting(text) for text in settings or []]
+
+
+def _configure(
+    scenario: str | None, config: Path | None, settings: list[str] | None, chosen: Table
+) -> Config:
+    """The config of a command: scenario, then file, then single settings, then options."""
+    from insonify.scenarios import scenario_config
+
+    layers = _layers(config, settings)
+    if scenario is None:
+        if config is None or "scenario" not in layers[0]:
+            raise ConfigError("name a scenario (see `insonify scenarios`), or give a --config")
+        scenario = str(layers[0]["scenario"])
+    return scenario_config(scenario, [*layers, chosen])
+
+
+def _write_results(run: Run, folder: Path) -> None:
+    from insonify.io.configs import config_to_toml
+    from insonify.io.maps import save_map, save_point_cloud
+    from insonify.report.html import write_report
+
+    voxels = run.mapper.voxels
+    text = json.dumps(run.result(), indent=2) + "\n"
+    (folder / "result.json").write_text(text, encoding="utf-8")
+    (folder / "config.toml").write_text(config_to_toml(run.config), encoding="utf-8")
+    save_map(voxels, folder / "map.npz")
+    save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy)
+    write_report(run, folder / "report.html")
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a question that the run asks; the second stops at once."""
+    asked = False
+
+    def ask(signum: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise _Interrupted
+        asked = True
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[Run, Step], None]]:
+    """A progress bar on stderr, fed by the steps of one run after another."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from insonify.mission import Decided, Mapped
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"))
+    with Progress(*columns, TimeElapsedColumn(), console=_stderr(), transient=True) as bar:
+        task = bar.add_task("setting up", total=None, speed="")
+        started = time.perf_counter()
+
+        def watch(run: Run, step: Step) -> None:
+            nonlocal started
+            if isinstance(step, Decided):
+                started = time.perf_counter()
+                title = f"{run.config.scenario} {run.planner}, scan {len(run.paths) + 1}"
+                bar.reset(task, total=run.config.survey.waypoints, description=title, speed="")
+            elif isinstance(step, Mapped):
+                done = len(run.paths[-1].waypoints)
+                rate = done / max(time.perf_counter() - started, 1e-9)
+                bar.update(task, completed=done, speed=f"{rate:.0f} pings/s")
+
+        yield watch
+
+
+def _stderr() -> Console:
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def _print_result(result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    title = (
+        f"{result['scenario']}, {result['planner']} planner, seed {result['seed']}: "
+        f"{result['scans']} scans, {result['pings']} pings, {result['path_m']:.1f} m"
+    )
+    table = RichTable("truth", "match", "precision", "recall", "F1", "F2", "F3", title=title)
+    for kind, matches in result["metrics"].items():
+        for match, scores in matches.items():
+            values = [f"{value:.3f}" for value in scores.values()]
+            table.add_row(kind, match.replace("_", " "), *values)
+    console = Console()
+    console.print(table)
+    console.print(result["stop_reason"])
+
+
+def _print_comparison(table: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    from insonify.comparison import SCORES
+    from insonify.scenarios import scenarios as known
+
+    console = Console()
+    for name, planners in table.items():
+        source = known()[name]["paper"]["source"]
+        order = [planner for planner in ("lawnmower", "uniform", "entropy") if planner in planners]
+        view = RichTable(
+            "", title=f"{name} (paper: {source})", box=box.SIMPLE, padding=(0, 1, 0, 0)
+        )
+        for planner in order:
+            view.add_column(planner, no_wrap=True)
+            view.add_column("paper", style="dim")
+        tolerances = (("exact", "exact"), ("within_one_voxel", "±1 voxel"))
+        for kind, (match, label) in product(("solid", "surface"), tolerances):
+            view.add_row(f"[bold]{kind}, {label}")
+            for score in SCORES:
+                cells = []
+                for planner in order:
+                    figure = planners[planner][kind][match][score]
+                    cells.append(f"{figure['mean']:.3f} ±{figure['ci95']:.3f}")
+                    cells.append(f"{planners[planner]['paper'][score]:.3f}")
+                view.add_row(score, *cells)
+            view.add_section()
+        for key, label in (("scans", "scans"), ("pings", "pings"), ("path_m", "path, m")):
+            figures = [f"{planners[planner][key]['mean']:.1f}" for planner in order]
+            view.add_row(label, *(cell for figure in figures for cell in (figure, "")))
+        console.print(view)
+    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+
+
+def _print_listing(head: list[str], rows: list[list[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    table = RichTable()
+    for number, title in enumerate(head):
+        last = number == len(head) - 1
+        table.add_column(title, no_wrap=not last, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)

@@ -1,0 +1,101 @@
+"""Planners side by side over seeds, as in Tables 2 and 3 of Park et al. 2025."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from insonify.mission import Step
+from insonify.runs import Run, execute
+from insonify.scenarios import PLANNERS, Table, scenario_config, scenarios
+
+SCORES = ("precision", "recall", "f1", "f2", "f3")
+Row = dict[str, Any]
+
+
+def compare(
+    names: Sequence[str],
+    seeds: int,
+    layers: Iterable[Table] = (),
+    *,
+    watch: Callable[[Run, Step], None] = lambda run, step: None,
+    on_result: Callable[[Row], None] = lambda row: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> list[Row]:
+    """Run every planner on every scenario and seed.
+
+    The entropy planner flies first; the baselines then get as many scans, and so as many pings,
+    as it took with that seed.
+
+    Args:
+        names: Scenarios.
+        seeds: Seeds 0 to ``seeds - 1``.
+        layers: Settings on top of each scenario.
+        watch: Called after every step of every run.
+        on_result: Called after every run.
+        should_stop: Asked during the runs; if true, the rows of the complete ones are returned.
+
+    Raises:
+        InsonifyError: A scenario or a setting is not usable.
+    """
+    layers = list(layers)
+    for name in names:
+        scenario_config(name, layers)  # bad input shows before the first run
+    rows: list[Row] = []
+    for name in names:
+        for seed in range(seeds):
+            scans: Table = {}
+            for planner in PLANNERS:
+                chosen = {"planner": planner, "seed": seed}
+                config = scenario_config(name, [*layers, chosen, scans])
+                run = execute(config, watch=watch, should_stop=should_stop)
+                if should_stop():
+                    return rows
+                rows.append(run.result())
+                on_result(rows[-1])
+                scans = scans or {"survey": {"baseline_scans": len(run.paths)}}
+    return rows
+
+
+def summarise(rows: Sequence[Row]) -> Row:
+    """Mean and 95 % confidence interval of each score over the seeds, with the paper's figures.
+
+    Returns:
+        scenario -> planner -> {"scans", "pings", "path_m", "surface", "solid", "paper"}, where a
+        figure of ours is {"mean", "ci95"} and ``ci95`` the half width of Student's interval (0
+        for a single seed).
+    """
+    table: Row = {}
+    for name in dict.fromkeys(row["scenario"] for row in rows):
+        table[name] = {}
+        for planner in PLANNERS:
+            mine = [r for r in rows if r["scenario"] == name and r["planner"] == planner]
+            if not mine:
+                continue
+            table[name][planner] = {
+                key: _interval([row[key] for row in mine]) for key in ("scans", "pings", "path_m")
+            } | {
+                kind: {
+                    match: {
+                        score: _interval([row["metrics"][kind][match][score] for row in mine])
+                        for score in SCORES
+                    }
+                    for match in ("exact", "within_one_voxel")
+                }
+                for kind in ("surface", "solid")
+            }
+            table[name][planner]["paper"] = scenarios()[name]["paper"][planner]
+    return table
+
+
+def _interval(values: Sequence[float]) -> dict[str, float]:
+    count = len(values)
+    half = 0.0
+    if count > 1:
+        t = float(special.stdtrit(count - 1, 0.975))
+        half = t * float(np.std(values, ddof=1)) / math.sqrt(count)
+    return {"mean": float(np.mean(values)), "ci95": half}

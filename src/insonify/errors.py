@@ -1,0 +1,31 @@
+"""What can go wrong with a user's input: one base error, caught once at the command line."""
+
+from __future__ import annotations
+
+
+class InsonifyError(Exception):
+    """Bad input, said in one sentence that names the file or value and what to do about it."""
+
+
+class ConfigError(InsonifyError):
+    """A setting is unknown, of the wrong type or out of its range."""
+
+
+class MeshError(InsonifyError):
+    """A mesh or height raster is missing, unreadable or unusable."""
+
+
+class GeometryError(InsonifyError):
+    """A pose, path or area makes no sense: not finite, or through an obstacle."""
+
+
+class MemoryLimitError(InsonifyError):
+    """The map would not fit into the memory that is free."""
+
+
+class OutputError(InsonifyError):
+    """A result cannot be written, or would overwrite something."""
+
+
+class MapFileError(InsonifyError):
+    """A map file is missing, corrupt or of another version."""

@@ -1,0 +1,115 @@
+"""Voxel maps as files: our own, which loads back whole, and point clouds for other programs."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from insonify.errors import MapFileError
+from insonify.mapping.voxels import BLOCK, VOXELS_PER_BLOCK, VoxelMap, probability_from_log_odds
+from insonify.planning.entropy import binary_entropy
+
+FORMAT = "insonify-map"
+VERSION = 1
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    OverflowError,
+    MemoryError,
+    NotImplementedError,
+    RuntimeError,
+    SyntaxError,
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What NumPy's and Python's readers raise on archives with flipped or missing bytes."""
+
+
+def save_map(voxels: VoxelMap, path: Path) -> None:
+    """Write a map as a NumPy archive (``.npz``), its blocks in ascending order.
+
+    Arrays: ``format``, ``version``, ``voxel_m``, ``coords`` (blocks, 3) int32, ``log_odds``
+    (blocks, 512) float32 and ``seen`` (blocks, 512) uint8, voxels of a block x outermost.  The
+    same map gives the same bytes.
+    """
+    order = np.lexsort(voxels.coords.T[::-1])
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file,
+            format=np.array(FORMAT),
+            version=np.array(VERSION),
+            voxel_m=np.array(voxels.voxel_m),
+            coords=voxels.coords[order],
+            log_odds=voxels.log_odds[order],
+            seen=voxels.seen[order],
+        )
+
+
+def load_map(path: Path) -> VoxelMap:
+    """Read a map written by `save_map`.
+
+    Raises:
+        MapFileError: The file is missing, is no such map, or is damaged.
+    """
+    if not path.is_file():
+        raise MapFileError(f"{path}: there is no such map; check the path")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            if str(archive["format"]) != FORMAT or int(archive["version"]) != VERSION:
+                raise MapFileError(
+                    f"{path}: not a version {VERSION} insonify map; write it again with this "
+                    "version"
+                )
+            voxel_m = float(archive["voxel_m"])
+            coords, log_odds, seen = archive["coords"], archive["log_odds"], archive["seen"]
+    except _DAMAGE as err:
+        raise MapFileError(f"{path}: damaged, or not an insonify map ({err})") from err
+    blocks = len(coords)
+    shapes = (coords.shape, log_odds.shape, seen.shape)
+    if shapes != ((blocks, 3), (blocks, VOXELS_PER_BLOCK), (blocks, VOXELS_PER_BLOCK)):
+        raise MapFileError(f"{path}: damaged, its arrays have shapes {shapes}")
+    if not (np.isfinite(log_odds).all() and 0.0 < voxel_m < np.inf):
+        raise MapFileError(f"{path}: damaged, it holds numbers that are not finite")
+    voxels = VoxelMap(voxel_m)
+    slots = voxels.allocate(coords.astype(np.int32))
+    voxels.log_odds[slots] = log_odds
+    voxels.seen[slots] = seen
+    return voxels
+
+
+def save_point_cloud(voxels: VoxelMap, path: Path, least_entropy: float) -> None:
+    """Write a binary PLY point cloud of the voxels that are not known to be free.
+
+    Those are the voxels seen at least once that are occupied or undecided, with properties
+    ``x, y, z`` (centre, metres), ``probability`` and ``entropy``, sorted by x, y, z.
+
+    Args:
+        voxels: The map.
+        path: The file.
+        least_entropy: Entropy from which a voxel counts as undecided.
+    """
+    entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
+    kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | (entropy >= least_entropy))
+    slot, voxel = np.nonzero(kept)
+    within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
+    index = voxels.coords[slot] * BLOCK + within
+    order = np.lexsort(index.T[::-1])
+    names = ("x", "y", "z", "probability", "entropy")
+    points = np.empty(len(index), [(name, "<f4") for name in names])
+    for axis, name in enumerate("xyz"):
+        points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order]
+    points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
+    points["entropy"] = entropy[slot, voxel][order]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property float {name}" for name in names]
+    with path.open("wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        file.write(points.tobytes())

@@ -1,0 +1,1 @@
+"""Voxel maps, and the inverse sensor models that fill them from pings."""

@@ -1,0 +1,294 @@
+"""The papers' map update: threshold, read outward, add log-odds (Park et al. 2025, eq. 1 and 2).
+
+Eq. 1 lets every voxel be updated alone; eq. 2 in log-odds is an addition.  A pixel over the
+threshold is evidence of occupancy for every voxel of its elevation arc.  In each column the
+pixels before the first occupied one are evidence of free space; the empty pixels behind it lie in
+shadow and say nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from insonify.frames import world_from_sonar
+from insonify.jit import kernel, parallel_kernel, prange
+from insonify.mapping.fan import blocks_in_fan
+from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
+from insonify.types import Array, FanGeometry, Float32, Float64, Int32, Int64, Ping, Pose
+
+
+class MappingSettings(BaseModel):
+    """Voxel size and inverse sensor model."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    voxel_m: float = Field(0.1, gt=0, le=100, description="edge length of a voxel")
+    pixel_threshold: int = Field(
+        76, ge=0, le=254, description="of 255; brighter pixels are occupied (Table 1)"
+    )
+    p_occupied: float = Field(
+        0.6, gt=0.5, lt=1, description="p(occupied | the voxel's arc has an echo)"
+    )
+    p_free: float = Field(
+        0.15, gt=0, lt=0.5, description="p(occupied | silence before the first echo)"
+    )
+    p_min: float = Field(0.02, gt=0, lt=0.5, description="lower clamp of the probability")
+    p_max: float = Field(0.98, gt=0.5, lt=1, description="upper clamp of the probability")
+
+    @model_validator(mode="after")
+    def _evidence_inside_clamps(self) -> Self:
+        if self.p_free < self.p_min or self.p_occupied > self.p_max:
+            raise ValueError(
+                f"p_free ({self.p_free:g}) and p_occupied ({self.p_occupied:g}) must lie between "
+                f"p_min ({self.p_min:g}) and p_max ({self.p_max:g})"
+            )
+        return self
+
+
+class Mapper(Protocol):
+    """Builds a voxel map from pings and the poses the vehicle believes they were taken at."""
+
+    name: str
+    voxels: VoxelMap
+
+    def integrate(self, ping: Ping, pose: Pose) -> None:
+        """Update the map with one ping taken at a vehicle pose."""
+
+
+class BayesMapper:
+    """The papers' mapper: each ping adds log-odds to every voxel it speaks about."""
+
+    name = "bayes"
+
+    def __init__(self, settings: MappingSettings) -> None:
+        """An empty map."""
+        self.settings = settings
+        self.voxels = VoxelMap(settings.voxel_m)
+        self._evidence = np.array(
+            [
+                log_odds(settings.p_free),
+                log_odds(settings.p_occupied),
+                log_odds(settings.p_min),
+                log_odds(settings.p_max),
+            ],
+            np.float32,
+        )
+
+    def integrate(self, ping: Ping, pose: Pose) -> None:
+        """Update every voxel inside the fan (eq. 2)."""
+        geometry = ping.geometry
+        transform = world_from_sonar(pose, geometry.tilt_rad)
+        blocks = blocks_in_fan(transform, geometry, self.voxels.block_m)
+        # neighbours far apart in the list: two threads then share near and far blocks evenly
+        blocks = np.ascontiguousarray(np.vstack([blocks[::2], blocks[1::2]]))
+        slots = self.voxels.allocate(blocks)
+        echoes, first = count_echoes(ping.image, np.float32(self.settings.pixel_threshold / 255.0))
+        _update(
+            slots,
+            blocks,
+            self.voxels.log_odds,
+            self.voxels.seen,
+            transform,
+            fan_vector(geometry),
+            self.voxels.voxel_m,
+            echoes,
+            first,
+            self._evidence,
+        )
+
+
+def log_odds(probability: float) -> float:
+    """ln(p / (1 - p))."""
+    return math.log(probability / (1.0 - probability))
+
+
+def fan_vector(geometry: FanGeometry) -> Float64:
+    """A fan's geometry as kernels take it: half azimuth, half elevation, least range, beam, bin."""
+    return np.array(
+        [
+            geometry.azimuth_fov_rad / 2,
+            geometry.elevation_fov_rad / 2,
+            geometry.range_min_m,
+            geometry.beam_rad,
+            geometry.bin_m,
+        ]
+    )
+
+
+@kernel
+def count_echoes(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
+    """Running count of occupied pixels of each column, and its first occupied bin.
+
+    Args:
+        image: (bins, beams) in [0, 1].
+        threshold: Brighter pixels are occupied.
+
+    Returns:
+        (beams, bins + 1) counts before each bin, and (beams,) first occupied bin, ``bins`` if none.
+    """
+    bins, beams = image.shape
+    counts = np.zeros((beams, bins + 1), np.int32)
+    first = np.full(beams, bins, np.int32)
+    for cell in range(bins):
+        for beam in range(beams):
+            occupied = image[cell, beam] > threshold
+            counts[beam, cell + 1] = counts[beam, cell] + occupied
+            if occupied and first[beam] == bins:
+                first[beam] = cell
+    return counts, first
+
+
+@kernel
+def _angle_ahead(y: np.float32, x: np.float32, flat: np.float32) -> np.float32:
+    """atan2(y, x) in single precision for x > 0, where ``flat`` is the length of (x, y).
+
+    Two half-angle steps bring the tangent below 0.415, where Taylor's series is short.  Unlike a
+    call to atan2 this vectorises, which makes the map update twice as fast.
+    """
+    one = np.float32(1.0)
+    along = flat + abs(x)
+    t = y / (along + math.sqrt(along * along + y * y))
+    s = t * t
+    series = one / np.float32(15.0)
+    series = one / np.float32(13.0) - s * series
+    series = one / np.float32(11.0) - s * series
+    series = one / np.float32(9.0) - s * series
+    series = one / np.float32(7.0) - s * series
+    series = one / np.float32(5.0) - s * series
+    series = one / np.float32(3.0) - s * series
+    return np.float32(4.0) * t * (one - s * series)
+
+
+_OUTSIDE, _TOUCHED, _CENTRED, _WHOLE = 0, 1, 2, 3
+
+
+@kernel
+def _view_block(
+    coords: Int32, voxel_m: float, transform: Float64, fan: Float64, shape: Int64, views: Int32
+) -> None:
+    """Which pixels each voxel of a block covers.
+
+    The half extents of a cube along the directions of range, elevation and azimuth are exact; a
+    voxel covers the pixels of the rectangle they span.
+
+    Args:
+        coords: (3,) block index.
+        voxel_m: Edge length of a voxel.
+        transform: ``world_from_sonar``, (4, 4).
+        fan: See `fan_vector`.
+        shape: Numbers of beams and bins.
+        views: (5, 512), written: first and last beam, first and last bin, cut to the image, and
+            whether the voxel is outside the fan, touches it, has its centre in view, or has that
+            and all its range extent too.
+    """
+    # single precision throughout: twice the voxels a vector instruction, to 0.0001 of a pixel
+    f = np.float32
+    zero, one, tiny = f(0.0), f(1.0), f(1e-12)
+    half_azimuth, sin_elevation, range_min_m = f(fan[0]), f(math.sin(fan[1])), f(fan[2])
+    beams_per_rad, bins_per_m = f(1.0 / fan[3]), f(1.0 / fan[4])
+    beams, bins = f(shape[0]), f(shape[1])
+    step, half = f(voxel_m), f(0.5 * voxel_m)
+    r00, r01, r02 = f(transform[0, 0]), f(transform[0, 1]), f(transform[0, 2])
+    r10, r11, r12 = f(transform[1, 0]), f(transform[1, 1]), f(transform[1, 2])
+    r20, r21, r22 = f(transform[2, 0]), f(transform[2, 1]), f(transform[2, 2])
+    x0 = f((coords[0] * BLOCK + 0.5) * voxel_m - transform[0, 3])
+    y0 = f((coords[1] * BLOCK + 0.5) * voxel_m - transform[1, 3])
+    z0 = f((coords[2] * BLOCK + 0.5) * voxel_m - transform[2, 3])
+    beam0s, beam1s, cell0s, cell1s, sights = views[0], views[1], views[2], views[3], views[4]
+    for k in range(VOXELS_PER_BLOCK):  # one flat loop without branches, so that it vectorises
+        dx = x0 + f(k >> 6) * step
+        dy = y0 + f((k >> 3) & 7) * step
+        dz = z0 + f(k & 7) * step
+        x = r00 * dx + r10 * dy + r20 * dz
+        y = r01 * dx + r11 * dy + r21 * dz
+        z = r02 * dx + r12 * dy + r22 * dz
+        square = x * x + y * y
+        flat = math.sqrt(square) + tiny
+        distance = math.sqrt(square + z * z) + tiny
+        per_flat, per_distance = one / flat, one / distance  # divisions cost most here
+        deep = half * (abs(dx) + abs(dy) + abs(dz)) * per_distance
+        high = (
+            abs(r02 * square - (r00 * x + r01 * y) * z)
+            + abs(r12 * square - (r10 * x + r11 * y) * z)
+            + abs(r22 * square - (r20 * x + r21 * y) * z)
+        )
+        high = half * high * per_flat * per_distance
+        wide = abs(r01 * x - r00 * y) + abs(r11 * x - r10 * y) + abs(r21 * x - r20 * y)
+        spread = half * wide * per_flat * per_flat * beams_per_rad
+        column = (half_azimuth - _angle_ahead(y, x, flat)) * beams_per_rad
+        row = (distance - range_min_m) * bins_per_m
+        depth = deep * bins_per_m
+        level = distance * sin_elevation
+        touched = (
+            (x > zero)
+            & (flat >= half)
+            & (abs(z) <= level + high)
+            & (column + spread >= zero)
+            & (column - spread < beams)
+            & (row + depth >= zero)
+            & (row - depth < bins)
+        )
+        centred = (
+            touched
+            & (abs(z) <= level)
+            & (column >= zero)
+            & (column < beams)
+            & (row >= zero)
+            & (row <= bins)
+        )
+        whole = centred & (row - depth >= zero) & (row + depth < bins)
+        beam0s[k] = np.int32(min(max(column - spread, zero), beams))
+        beam1s[k] = np.int32(min(max(column + spread, zero), beams - one))
+        cell0s[k] = np.int32(min(max(row - depth, zero), bins))
+        cell1s[k] = np.int32(min(max(row + depth, zero), bins - one))
+        sights[k] = np.int32(touched) + np.int32(centred) + np.int32(whole)
+
+
+@parallel_kernel
+def _update(
+    slots: Int64,
+    blocks: Int32,
+    all_log_odds: Float32,
+    all_seen: Array,
+    transform: Float64,
+    fan: Float64,
+    voxel_m: float,
+    echoes: Int32,
+    first: Int32,
+    evidence: Float32,
+) -> None:
+    """Add evidence to the voxels of each block; a block is touched by one iteration only.
+
+    A voxel is raised if any pixel it covers is occupied.  It is lowered only if its centre is in
+    view and all pixels it covers are silent and lie before the first echo of their column.
+    """
+    shape = np.array([first.shape[0], echoes.shape[1] - 1])
+    for block in prange(len(slots)):
+        views = np.empty((5, VOXELS_PER_BLOCK), np.int32)
+        _view_block(blocks[block], voxel_m, transform, fan, shape, views)
+        beam0s, beam1s, cell0s, cell1s, sights = views[0], views[1], views[2], views[3], views[4]
+        cells = all_log_odds[slots[block]]
+        seen = all_seen[slots[block]]
+        for k in range(VOXELS_PER_BLOCK):
+            if sights[k] == _OUTSIDE:
+                continue
+            silent = sights[k] == _WHOLE
+            occupied = False
+            for beam in range(beam0s[k], beam1s[k] + 1):
+                if cell1s[k] >= first[beam]:
+                    silent = False
+                    if echoes[beam, cell1s[k] + 1] > echoes[beam, cell0s[k]]:
+                        occupied = True
+                        break
+            if occupied:
+                cells[k] = min(cells[k] + evidence[1], evidence[3])
+                seen[k] = IN_VIEW | OBSERVED
+            elif silent:
+                cells[k] = max(cells[k] + evidence[0], evidence[2])
+                seen[k] = IN_VIEW | OBSERVED
+            elif sights[k] >= _CENTRED:
+                seen[k] |= IN_VIEW

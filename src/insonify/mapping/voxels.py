@@ -1,0 +1,174 @@
+"""A 3D occupancy map made of blocks of voxels, which grows where the vehicle goes.
+
+Each voxel holds its occupancy as log-odds (0 is p = 0.5) and two facts about its past: whether
+it has been inside a sonar's field of view, and whether any echo or silence spoke about it.  A
+voxel's indices are ``floor(position / voxel_m)`` in the world frame; a block is 8 x 8 x 8 voxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
+
+BLOCK = 8
+VOXELS_PER_BLOCK = BLOCK**3
+BYTES_PER_VOXEL = 5
+IN_VIEW = 1
+OBSERVED = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VoxelWindow:
+    """A dense copy of a box of voxels, indexed [x, y, z].
+
+    Attributes:
+        first: World index of voxel [0, 0, 0].
+        voxel_m: Edge length.
+        log_odds: (nx, ny, nz) float32; 0 where nothing is known.
+        seen: (nx, ny, nz) uint8, bits IN_VIEW and OBSERVED.
+    """
+
+    first: tuple[int, int, int]
+    voxel_m: float
+    log_odds: Float32
+    seen: np.ndarray
+
+    @property
+    def probability(self) -> Float32:
+        """Occupancy probability p(m) of every voxel; 0.5 where nothing is known."""
+        return probability_from_log_odds(self.log_odds)
+
+    @property
+    def occupied(self) -> Bool:
+        """Voxels more likely occupied than not."""
+        occupied: Bool = self.log_odds > 0.0
+        return occupied
+
+    def axis_centres_m(self, axis: int) -> Float64:
+        """World coordinates of the voxel centres along an axis."""
+        count = self.log_odds.shape[axis]
+        return (np.arange(count, dtype=np.float64) + (self.first[axis] + 0.5)) * self.voxel_m
+
+    def centres_m(self, mask: Bool) -> Float64:
+        """World coordinates (N, 3) of the centres of the masked voxels, in x, y, z order."""
+        index = np.argwhere(mask) + self.first
+        return (index.astype(np.float64) + 0.5) * self.voxel_m
+
+
+class VoxelMap:
+    """Blocks of voxels, allocated when first touched."""
+
+    def __init__(self, voxel_m: float) -> None:
+        """An empty map with voxels of edge ``voxel_m`` metres."""
+        if not 0.0 < voxel_m < float("inf"):
+            raise ValueError(f"voxel_m must be positive and finite, not {voxel_m}")
+        self.voxel_m = voxel_m
+        self._slot_of: dict[int, int] = {}
+        self._coords = np.zeros((64, 3), np.int32)
+        self._log_odds = np.zeros((64, VOXELS_PER_BLOCK), np.float32)
+        self._seen = np.zeros((64, VOXELS_PER_BLOCK), np.uint8)
+
+    @property
+    def block_count(self) -> int:
+        """How many blocks are allocated."""
+        return len(self._slot_of)
+
+    @property
+    def block_m(self) -> float:
+        """Edge length of a block."""
+        return BLOCK * self.voxel_m
+
+    @property
+    def coords(self) -> Int32:
+        """Block indices (blocks, 3), in order of allocation."""
+        return self._coords[: self.block_count]
+
+    @property
+    def log_odds(self) -> Float32:
+        """Log-odds of all voxels, (blocks, 512), x outermost; a view, so kernels may write it."""
+        return self._log_odds[: self.block_count]
+
+    @property
+    def seen(self) -> np.ndarray:
+        """IN_VIEW and OBSERVED bits of all voxels, (blocks, 512) uint8; a view."""
+        return self._seen[: self.block_count]
+
+    def allocate(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3), making those that are new."""
+        slots = self.find(coords)
+        table, keys = self._slot_of, _keys(coords)
+        for row in np.flatnonzero(slots < 0):
+            slot = table.setdefault(int(keys[row]), len(table))
+            self._reserve(slot + 1)
+            self._coords[slot] = coords[row]
+            slots[row] = slot
+        return slots
+
+    def find(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3); -1 for blocks that do not exist."""
+        table = self._slot_of
+        return np.array([table.get(key, -1) for key in _keys(coords).tolist()], np.int64)
+
+    def occupied_m(self) -> Float64:
+        """Centres (N, 3) of all voxels more likely occupied than not, world frame."""
+        slot, voxel = np.nonzero(self.log_odds > 0.0)
+        within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
+        index = self.coords[slot] * BLOCK + within
+        return (index.astype(np.float64) + 0.5) * self.voxel_m
+
+    def window(self, box: Box) -> VoxelWindow:
+        """A dense copy of the voxels whose centres lie in a box."""
+        low = np.ceil(np.asarray(box.low_m) / self.voxel_m - 0.5 - 1e-9).astype(int)
+        high = np.floor(np.asarray(box.high_m) / self.voxel_m - 0.5 + 1e-9).astype(int) + 1
+        shape = tuple(np.maximum(high - low, 0).tolist())
+        log_odds = np.zeros(shape, np.float32)
+        seen = np.zeros(shape, np.uint8)
+        if 0 not in shape:
+            self._copy_blocks(low, high, log_odds, seen)
+        first = (int(low[0]), int(low[1]), int(low[2]))
+        return VoxelWindow(first, self.voxel_m, log_odds, seen)
+
+    def _copy_blocks(
+        self, low: np.ndarray, high: np.ndarray, log_odds: Float32, seen: np.ndarray
+    ) -> None:
+        corners = self.coords * BLOCK
+        touching = ((corners < high) & (corners + BLOCK > low)).all(axis=1)
+        for slot in np.flatnonzero(touching):
+            start = np.maximum(corners[slot], low)
+            stop = np.minimum(corners[slot] + BLOCK, high)
+            inside = tuple(map(slice, start - corners[slot], stop - corners[slot]))
+            target = tuple(map(slice, start - low, stop - low))
+            log_odds[target] = self._log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
+            seen[target] = self._seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
+
+    def bounds(self) -> Box:
+        """The box around all allocated blocks; empty at the origin for an empty map."""
+        if self.block_count == 0:
+            return Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        low = self.coords.min(axis=0) * self.block_m
+        high = (self.coords.max(axis=0) + 1) * self.block_m
+        return Box.of(low, high)
+
+    def _reserve(self, blocks: int) -> None:
+        capacity = len(self._coords)
+        if blocks <= capacity:
+            return
+        for name in ("_coords", "_log_odds", "_seen"):
+            old = getattr(self, name)
+            new = np.zeros((2 * capacity, *old.shape[1:]), old.dtype)
+            new[:capacity] = old
+            setattr(self, name, new)
+
+
+def probability_from_log_odds(log_odds: Float32) -> Float32:
+    """P = 1 / (1 + exp(-l)), any shape."""
+    return (1.0 / (1.0 + np.exp(-log_odds))).astype(np.float32)
+
+
+def _keys(coords: Int32) -> Int64:
+    """One integer for each block index (N, 3), distinct for indices within +-1,000,000."""
+    keys: Int64 = np.asarray(coords, np.int64) @ np.array([1 << 42, 1 << 21, 1])
+    return keys

@@ -1,0 +1,1 @@
+"""Where to scan next: entropy, clusters, candidates, expected gain, and the planners."""

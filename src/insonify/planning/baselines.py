@@ -1,0 +1,83 @@
+"""The scans the method is compared with (Park et al. 2025, section 4 and Fig. 7)."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+from insonify.mapping.voxels import VoxelMap
+from insonify.planning.candidates import straight_path
+from insonify.planning.decision import Decision, StopReason, SurveyArea
+from insonify.types import Nav, Pose, ScanPath
+
+
+def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
+    """A straight scan over the area's centre, from ``approach_m`` before the area to beyond it."""
+    x, y, _ = area.region.centre_m
+    ahead = (math.cos(heading_rad), math.sin(heading_rad))
+    before = area.approach_m + area.extent_m(heading_rad) / 2
+    start = Pose(
+        x - before * ahead[0],
+        y - before * ahead[1],
+        area.z_m,
+        yaw_rad=heading_rad,
+    )
+    end = (x + area.overrun_m * ahead[0], y + area.overrun_m * ahead[1])
+    return straight_path(start, end, area.waypoints)
+
+
+class _FixedPlan(ABC):
+    """A number of scans known beforehand; the map is not looked at."""
+
+    def __init__(self, area: SurveyArea, scans: int) -> None:
+        """Plan ``scans`` scans of an area."""
+        self.area = area
+        self.scans = scans
+
+    def next_scan(self, voxels: VoxelMap, nav: Nav) -> Decision:
+        """The next scan of the plan."""
+        done = len(nav.scans)
+        if done == self.scans:
+            return Decision(stop=StopReason.PLAN_FLOWN)
+        return Decision(path=self._scan(done))
+
+    @abstractmethod
+    def _scan(self, number: int) -> ScanPath:
+        """Scan ``number``, counted from 0."""
+
+
+class UniformPlanner(_FixedPlan):
+    """Uniform 360: straight scans over the centre, their headings dividing the circle equally."""
+
+    name = "uniform"
+
+    def _scan(self, number: int) -> ScanPath:
+        heading = self.area.heading_rad + 2.0 * math.pi * number / self.scans
+        return path_over_centre(self.area, heading)
+
+
+class LawnmowerPlanner(_FixedPlan):
+    """Parallel tracks across the area, flown to and fro.
+
+    Each track starts where the object is not yet in view and ends where all of it has passed
+    through the fan; the tracks divide the area's width equally, from one side to the other.
+    """
+
+    name = "lawnmower"
+
+    def _scan(self, number: int) -> ScanPath:
+        along = self.area.heading_rad
+        width_m = self.area.extent_m(along + math.pi / 2)
+        aside_m = width_m * ((number + 0.5) / self.scans - 0.5)
+        over = path_over_centre(self.area, along + (math.pi if number % 2 else 0.0))
+        return ScanPath(
+            tuple(
+                Pose(
+                    p.x_m - math.sin(along) * aside_m,
+                    p.y_m + math.cos(along) * aside_m,
+                    p.z_m,
+                    yaw_rad=p.yaw_rad,
+                )
+                for p in over.waypoints
+            )
+        )

@@ -1,0 +1,297 @@
+"""Scenarios: everything a run depends on, as validated data, and the named ones.
+
+A config is built in layers: defaults, the scenario, a config file, single settings.  Each layer
+is a nested table; unknown keys are errors.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from insonify.errors import ConfigError, MeshError
+from insonify.mapping.bayes import MappingSettings
+from insonify.planning.active import EntropyPlanner, EntropySettings
+from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner
+from insonify.planning.decision import Planner, SurveyArea
+from insonify.scene import Body, Material, Scene
+from insonify.scene.meshes import load_mesh, place_mesh, scaled
+from insonify.scene.objects import PROCEDURAL_OBJECTS
+from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
+from insonify.sonar import SamplingSettings, Sonar
+from insonify.sonar.devices import SonarDevice, sonar_preset
+from insonify.sonar.formation import ImageSettings
+from insonify.types import Box
+
+PLANNERS = ("entropy", "uniform", "lawnmower")
+Table = dict[str, Any]
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ObjectSettings(_Settings):
+    """The object that is scanned."""
+
+    mesh: str = Field(
+        "tetrapod", description="tetrapod, shipwreck, or a mesh file (OBJ, STL, PLY, GLB, DAE)"
+    )
+    scale: float = Field(1.0, gt=0, le=1e6, description="factor to metres")
+    x_m: float = Field(0.0, ge=-1e5, le=1e5)
+    y_m: float = Field(0.0, ge=-1e5, le=1e5)
+    yaw_deg: float = Field(0.0, ge=-360, le=360)
+    burial_m: float = Field(0.0, ge=0, le=100, description="depth of its base below the seabed")
+    reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
+
+
+class SeabedSettings(_Settings):
+    """The seabed: smooth random relief, or a raster file."""
+
+    raster: str = Field("", description="heights file (.npy, .tif, .png, .asc) instead of relief")
+    size_m: float = Field(80.0, gt=0, le=10000, description="edge of the procedural seabed")
+    cell_m: float = Field(0.25, gt=0, le=100, description="grid spacing")
+    depth_m: float = Field(20.0, ge=0, le=11000, description="mean depth; raster zero height")
+    relief_m: float = Field(0.05, ge=0, le=100, description="standard deviation of height")
+    correlation_m: float = Field(2.0, gt=0, le=1000, description="length scale of the relief")
+    reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
+
+
+class SurveySettings(_Settings):
+    """The vehicle's order: where to look, how high, how often."""
+
+    altitude_m: float = Field(5.0, gt=0, le=1000, description="height above the mean seabed")
+    heading_deg: float = Field(0.0, ge=-360, le=360, description="yaw of the first scan; 0 is east")
+    approach_m: float = Field(
+        8.0, ge=0, le=10000, description="a scan starts so far before the designated area"
+    )
+    overrun_m: float = Field(2.0, ge=0, le=10000, description="and ends beyond its centre")
+    waypoints: int = Field(40, ge=1, le=100000, description="k, pings a scan")
+    margin_m: float = Field(3.0, ge=0, le=1000, description="designated area around the object")
+    headroom_m: float = Field(0.5, ge=0, le=1000, description="designated area above the object")
+    floor_m: float = Field(
+        0.2, ge=-100, le=100, description="lowest height above the mean seabed that counts"
+    )
+    clearance_m: float = Field(
+        0.4, gt=0, le=100, description="least distance of the vehicle to anything"
+    )
+    baseline_scans: int = Field(3, ge=1, le=1000, description="scans of uniform and lawnmower")
+
+
+class Config(_Settings):
+    """All that is needed to run a scan again."""
+
+    scenario: str = Field("tetrapod", description="the scenario that this config started from")
+    planner: Literal["entropy", "uniform", "lawnmower"] = "entropy"
+    mapper: Literal["bayes"] = "bayes"
+    seed: int = Field(0, ge=0, lt=2**63)
+    object: ObjectSettings = ObjectSettings()
+    seabed: SeabedSettings = SeabedSettings()
+    survey: SurveySettings = SurveySettings()
+    sonar: SonarDevice = SonarDevice()
+    sampling: SamplingSettings = SamplingSettings()
+    image: ImageSettings = ImageSettings()
+    mapping: MappingSettings = MappingSettings()
+    entropy: EntropySettings = EntropySettings()
+
+
+@cache
+def scenarios() -> dict[str, Table]:
+    """The named scenarios as they stand in ``scenarios.toml``: title, config, paper's figures."""
+    text = resources.files("insonify").joinpath("scenarios.toml").read_text(encoding="utf-8")
+    return tomllib.loads(text)
+
+
+def scenario_config(name: str, layers: Iterable[Table] = ()) -> Config:
+    """The config of a scenario, with further layers of settings on top.
+
+    Raises:
+        ConfigError: There is no such scenario, or a setting is unknown or out of range.
+    """
+    known = scenarios()
+    if name not in known:
+        raise ConfigError(f"there is no scenario named {name!r}{_did_you_mean(name, known)}")
+    table: Table = {"scenario": name}
+    for layer in (known[name]["config"], *layers):
+        table = _overlay(table, layer)
+    if isinstance(table.get("sonar"), str):
+        table["sonar"] = sonar_preset(table["sonar"]).model_dump()
+    try:
+        return Config.model_validate(table | {"scenario": name})
+    except ValidationError as err:
+        raise ConfigError(_explain(err)) from err
+
+
+def read_config(path: Path) -> Table:
+    """A config file as one layer of settings; a mesh path in it is relative to the file.
+
+    Raises:
+        ConfigError: The file is missing or not TOML.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise ConfigError(f"{path}: there is no such config file; check the path") from err
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
+    for section, key in (("object", "mesh"), ("seabed", "raster")):
+        inner = table.get(section)
+        if isinstance(inner, dict) and isinstance(inner.get(key), str):
+            beside = path.parent / inner[key]
+            if inner[key] and inner[key] not in PROCEDURAL_OBJECTS and beside.is_file():
+                inner[key] = str(beside)
+    return table
+
+
+def parse_setting(text: str) -> Table:
+    """One ``KEY=VALUE`` as a layer; the key is dotted, the value TOML, or else a string.
+
+    Raises:
+        ConfigError: There is no ``=`` in it.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set takes KEY=VALUE, as in mapping.voxel_m=0.2, not {text!r}")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value
+    for part in reversed(key.strip().split(".")):
+        parsed = {part: parsed}
+    return dict(parsed)
+
+
+def _overlay(below: Table, above: Table) -> Table:
+    """Nested tables merged, ``above`` winning.
+
+    A sonar given by name stands for its preset, so that single settings can follow it.
+    """
+    merged = dict(below)
+    for key, value in above.items():
+        inner = merged.get(key)
+        if key == "sonar" and isinstance(inner, str) and isinstance(value, dict):
+            inner = sonar_preset(inner).model_dump()
+        if isinstance(value, dict) and isinstance(inner, dict):
+            value = _overlay(inner, value)
+        merged[key] = value
+    return merged
+
+
+def _explain(err: ValidationError) -> str:
+    """The first of pydantic's complaints as one sentence."""
+    first = err.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"there is no setting {key!r}{_did_you_mean(key, _all_keys(Config))}"
+    message = first["msg"].removeprefix("Value error, ")
+    message = message[:1].lower() + message[1:]
+    given = first.get("input")
+    value = f", not {given!r}" if not isinstance(given, dict) else ""
+    return f"setting {key}: {message}{value}; see `insonify config` for all settings"
+
+
+def _all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    keys = []
+    for name, field in model.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            keys += _all_keys(inner, f"{prefix}{name}.")
+        else:
+            keys.append(prefix + name)
+    return keys
+
+
+def _did_you_mean(word: str, known: Iterable[str]) -> str:
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    listing = f"choose one of {', '.join(names)}" if len(names) < 12 else "see `insonify config`"
+    return f"; {listing}"
+
+
+class World:
+    """A scenario come to life: what there is, and what the vehicle is told to do about it."""
+
+    def __init__(self, config: Config) -> None:
+        """Build scene, sonar and designated area; the seed shapes the seabed.
+
+        Raises:
+            MeshError: The mesh or the raster cannot be used.
+        """
+        self.config = config
+        self.seabed = self._build_seabed()
+        self.body = self._place_object()
+        self.scene = Scene((self.body,), self.seabed, Material("seabed", config.seabed.reflectance))
+        self.sonar = Sonar(config.sonar, config.sampling, config.image)
+        self.area = self._designate_area()
+
+    def planner(self) -> Planner:
+        """The planner that the config names."""
+        survey = self.config.survey
+        if self.config.planner == "uniform":
+            return UniformPlanner(self.area, survey.baseline_scans)
+        if self.config.planner == "lawnmower":
+            return LawnmowerPlanner(self.area, survey.baseline_scans)
+        return EntropyPlanner(self.area, self.config.sonar.geometry, self.config.entropy)
+
+    def _build_seabed(self) -> Seabed:
+        seabed = self.config.seabed
+        if seabed.raster:
+            path = Path(seabed.raster)
+            return raster_seabed(path, cell_m=seabed.cell_m, depth_m=seabed.depth_m)
+        return procedural_seabed(
+            np.random.default_rng([self.config.seed, 1]),
+            size_m=seabed.size_m,
+            depth_m=seabed.depth_m,
+            relief_m=seabed.relief_m,
+            correlation_m=seabed.correlation_m,
+            cell_m=seabed.cell_m,
+        )
+
+    def _place_object(self) -> Body:
+        """The object, standing on (or in) the seabed under its centre."""
+        settings = self.config.object
+        if settings.mesh in PROCEDURAL_OBJECTS:
+            mesh = scaled(PROCEDURAL_OBJECTS[settings.mesh](), settings.scale)
+        else:
+            mesh = load_mesh(Path(settings.mesh), settings.scale)
+        if float(max(mesh.extents)) < self.config.mapping.voxel_m:
+            raise MeshError(
+                f"{settings.mesh}: the object is {max(mesh.extents):.2g} m across, smaller than "
+                f"one voxel ({self.config.mapping.voxel_m:g} m); give its scale "
+                "(--set object.scale=...) or smaller voxels (--set mapping.voxel_m=...)"
+            )
+        ground = self.seabed.height_at(np.array([settings.x_m]), np.array([settings.y_m]))
+        base_z = float(ground[0]) - settings.burial_m
+        yaw = math.radians(settings.yaw_deg)
+        placed = place_mesh(mesh, settings.x_m, settings.y_m, base_z, yaw)
+        return Body(Path(settings.mesh).stem, placed, Material("object", settings.reflectance))
+
+    def _designate_area(self) -> SurveyArea:
+        """The order given to the vehicle: a box around where the object is known to lie."""
+        survey = self.config.survey
+        low, high = self.body.box.low_m, self.body.box.high_m
+        level = -self.config.seabed.depth_m
+        margin = survey.margin_m
+        region = Box(
+            (low[0] - margin, low[1] - margin, level + survey.floor_m),
+            (high[0] + margin, high[1] + margin, high[2] + survey.headroom_m),
+        )
+        return SurveyArea(
+            region=region,
+            z_m=level + survey.altitude_m,
+            heading_rad=math.radians(survey.heading_deg),
+            approach_m=survey.approach_m,
+            overrun_m=survey.overrun_m,
+            waypoints=survey.waypoints,
+        )

@@ -1,0 +1,82 @@
+"""Meshes from files, checked before anything is built on them."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from insonify.errors import MeshError
+from insonify.frames import rotation_from_rpy
+
+MESH_SUFFIXES = (".obj", ".stl", ".ply", ".gltf", ".glb", ".dae")
+LARGEST_EXTENT_M = 1000.0
+
+
+def load_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
+    """Read a mesh file as one body, in metres, z up.
+
+    Args:
+        path: OBJ, STL, PLY, glTF/GLB or COLLADA file; parts of a scene are merged.
+        scale: Factor to metres (0.001 for a mesh in millimetres).
+
+    Raises:
+        MeshError: The file is missing, of another kind, unreadable, empty, has vertices that are
+            not finite, or is larger than 1 km after scaling.
+    """
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise MeshError(f"{path}: a mesh file ends in {', '.join(MESH_SUFFIXES)}")
+    if not path.is_file():
+        raise MeshError(f"{path}: there is no such mesh file; check the path")
+    mesh = _read(path)
+    if len(mesh.faces) == 0:
+        raise MeshError(f"{path}: the mesh has no triangles; export it with its faces")
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
+    if not np.isfinite(vertices).all():
+        bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+        raise MeshError(f"{path}: {bad} vertices are not finite numbers; repair the mesh")
+    mesh = scaled(mesh, scale)
+    extent_m = float(np.max(mesh.extents))
+    if extent_m > LARGEST_EXTENT_M:
+        raise MeshError(
+            f"{path}: the mesh is {extent_m:g} m across, more than {LARGEST_EXTENT_M:g} m; if it "
+            "is not in metres, give its scale (millimetres: --set object.scale=0.001)"
+        )
+    if extent_m <= 0.0:
+        raise MeshError(f"{path}: all vertices coincide; the mesh has no size")
+    return mesh
+
+
+def _read(path: Path) -> trimesh.Trimesh:
+    try:
+        loaded = trimesh.load_scene(path, process=False)
+        mesh: trimesh.Trimesh = loaded.to_mesh()
+    except MemoryError:
+        raise
+    except Exception as err:  # each of trimesh's readers raises errors of its own
+        reason = str(err).strip().splitlines()[0] if str(err).strip() else type(err).__name__
+        raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
+    return mesh
+
+
+def scaled(mesh: trimesh.Trimesh, scale: float) -> trimesh.Trimesh:
+    """A copy with all lengths multiplied by ``scale``, without vertices that no face uses."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = np.asarray(mesh.vertices, np.float64)[used] * scale
+    return trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False)
+
+
+def place_mesh(
+    mesh: trimesh.Trimesh, x_m: float, y_m: float, base_z_m: float, yaw_rad: float
+) -> trimesh.Trimesh:
+    """A copy turned by ``yaw_rad``, its bounding box centred on (x, y) and standing on a height."""
+    placed = mesh.copy()
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_from_rpy(0.0, 0.0, math.remainder(yaw_rad, 2 * math.pi))
+    placed.apply_transform(turn)
+    low, high = placed.bounds
+    middle = (low + high) / 2
+    placed.apply_translation([x_m - middle[0], y_m - middle[1], base_z_m - low[2]])
+    return placed

@@ -1,0 +1,130 @@
+"""Seabeds as height grids: procedural with a seed, or from a raster file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from insonify.errors import MeshError
+from insonify.types import Float64, Int32
+
+RASTER_SUFFIXES = (".npy", ".tif", ".tiff", ".png", ".asc")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seabed:
+    """Heights on a regular grid, bilinear in between and level beyond the edge.
+
+    Args:
+        heights_m: (rows over y, columns over x), metres, world frame.
+        cell_m: Spacing of the grid.
+        origin_m: World (x, y) of ``heights_m[0, 0]``.
+    """
+
+    heights_m: Float64
+    cell_m: float
+    origin_m: tuple[float, float]
+
+    def height_at(self, x_m: Float64, y_m: Float64) -> Float64:
+        """Seabed height at points of any shape, metres."""
+        rows = (np.asarray(y_m) - self.origin_m[1]) / self.cell_m
+        columns = (np.asarray(x_m) - self.origin_m[0]) / self.cell_m
+        heights: Float64 = ndimage.map_coordinates(
+            self.heights_m, [rows, columns], order=1, mode="nearest"
+        )
+        return heights
+
+    def triangles(self) -> tuple[Float64, Int32]:
+        """The grid as vertices (N, 3) and faces (M, 3), normals up."""
+        rows, columns = self.heights_m.shape
+        x = self.origin_m[0] + np.arange(columns) * self.cell_m
+        y = self.origin_m[1] + np.arange(rows) * self.cell_m
+        grid_x, grid_y = np.meshgrid(x, y)
+        vertices = np.column_stack([grid_x.ravel(), grid_y.ravel(), self.heights_m.ravel()])
+        first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+        lower = np.column_stack([first, first + 1, first + columns])
+        upper = np.column_stack([first + 1, first + columns + 1, first + columns])
+        return vertices, np.vstack([lower, upper]).astype(np.int32)
+
+
+def procedural_seabed(
+    rng: np.random.Generator,
+    *,
+    size_m: float,
+    depth_m: float,
+    relief_m: float,
+    correlation_m: float,
+    cell_m: float,
+) -> Seabed:
+    """A square of smooth random relief, level on average.
+
+    Args:
+        rng: Where the relief comes from.
+        size_m: Edge of the square, centred on the world's origin.
+        depth_m: Mean depth; the mean height is ``-depth_m``.
+        relief_m: Standard deviation of the height.
+        correlation_m: Standard deviation of the Gaussian that smooths white noise into relief.
+        cell_m: Grid spacing.
+    """
+    count = max(2, round(size_m / cell_m) + 1)
+    noise = ndimage.gaussian_filter(
+        rng.standard_normal((count, count)), correlation_m / cell_m, mode="wrap"
+    )
+    noise -= noise.mean()
+    spread = float(noise.std())
+    relief = noise * (relief_m / spread) if spread > 0.0 else noise * 0.0
+    edge = -(count - 1) * cell_m / 2
+    return Seabed(relief - depth_m, cell_m, (edge, edge))
+
+
+def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
+    """A seabed from a file of heights, centred on the world's origin.
+
+    Heights are metres, positive up; ``depth_m`` is subtracted.  The first row is the northern
+    edge, as in maps; a ``.npy`` array is taken the same way.  An ESRI ``.asc`` grid brings its
+    own cell size.
+
+    Args:
+        path: ``.npy``, ``.tif``, ``.png`` (grey values are metres) or ESRI ``.asc`` file.
+        cell_m: Grid spacing.
+        depth_m: Depth of the raster's zero height.
+
+    Raises:
+        MeshError: The file is missing, unreadable, not a 2D grid, or has heights that are not
+            finite.
+    """
+    if path.suffix.lower() not in RASTER_SUFFIXES:
+        raise MeshError(f"{path}: a seabed raster ends in {', '.join(RASTER_SUFFIXES)}")
+    if not path.is_file():
+        raise MeshError(f"{path}: there is no such seabed raster; check the path")
+    try:
+        heights, cell_m = _read_raster(path, cell_m)
+    except (OSError, ValueError, KeyError, IndexError, EOFError, SyntaxError) as err:
+        raise MeshError(f"{path}: cannot be read as a seabed raster ({err})") from err
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise MeshError(f"{path}: a seabed needs a grid of at least 2 x 2, not {heights.shape}")
+    if not np.isfinite(heights).all():
+        bad = int((~np.isfinite(heights)).sum())
+        raise MeshError(f"{path}: {bad} heights are not finite numbers; fill the gaps first")
+    rows, columns = heights.shape
+    origin = (-(columns - 1) * cell_m / 2, -(rows - 1) * cell_m / 2)
+    return Seabed(np.ascontiguousarray(heights[::-1]) - depth_m, cell_m, origin)
+
+
+def _read_raster(path: Path, cell_m: float) -> tuple[Float64, float]:
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return np.load(path, allow_pickle=False).astype(np.float64), cell_m
+    if suffix == ".asc":
+        words = [line.split() for line in path.read_text().splitlines()[:6]]
+        header = {word[0].lower(): float(word[1]) for word in words if word[0].isidentifier()}
+        heights = np.loadtxt(path, skiprows=len(header), ndmin=2)
+        heights[heights == header.get("nodata_value", np.nan)] = np.nan
+        return heights, header["cellsize"]
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        return np.asarray(picture, dtype=np.float64), cell_m

@@ -1,0 +1,156 @@
+"""Frozen records that every room of the house may use.
+
+Units are in the names.  World frame: ENU; body and sonar frames: forward, left, up (REP 103).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from insonify.errors import GeometryError
+
+Array = npt.NDArray[Any]
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Bool = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a body is: the state vector X of Park et al. 2025, section 2.1, in the world frame.
+
+    Rotations are intrinsic yaw, pitch, roll (z, y, x); a positive pitch points the nose down.
+
+    Raises:
+        GeometryError: A coordinate is not a finite number.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = (self.x_m, self.y_m, self.z_m, self.roll_rad, self.pitch_rad, self.yaw_rad)
+        if not all(map(math.isfinite, values)):
+            raise GeometryError(f"a pose needs six finite numbers, not {values}: check its source")
+
+    @property
+    def position_m(self) -> tuple[float, float, float]:
+        """The position alone."""
+        return (self.x_m, self.y_m, self.z_m)
+
+
+@dataclass(frozen=True, slots=True)
+class FanGeometry:
+    """What a 2D imaging sonar's pixels mean: beams over azimuth, bins over range.
+
+    Beams are reported from port to starboard: beam 0 looks at the largest (leftmost) azimuth.
+    Every beam spans the whole elevation field of view; that is the information the image loses.
+    """
+
+    azimuth_fov_rad: float
+    elevation_fov_rad: float
+    beams: int
+    bins: int
+    range_min_m: float
+    range_max_m: float
+    tilt_rad: float = 0.0
+
+    @property
+    def bin_m(self) -> float:
+        """Range extent of one bin."""
+        return (self.range_max_m - self.range_min_m) / self.bins
+
+    @property
+    def beam_rad(self) -> float:
+        """Azimuth extent of one beam."""
+        return self.azimuth_fov_rad / self.beams
+
+    @property
+    def beam_azimuths_rad(self) -> Float64:
+        """Centre azimuth of each beam, (beams,), port to starboard."""
+        beams = np.arange(self.beams, dtype=np.float64)
+        return self.azimuth_fov_rad / 2 - (beams + 0.5) * self.beam_rad
+
+    @property
+    def bin_ranges_m(self) -> Float64:
+        """Centre range of each bin, (bins,)."""
+        bins = np.arange(self.bins, dtype=np.float64)
+        return self.range_min_m + (bins + 0.5) * self.bin_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ping:
+    """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean."""
+
+    image: Float32
+    geometry: FanGeometry
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """An axis-aligned box in the world frame."""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, low_m: Iterable[float], high_m: Iterable[float]) -> Box:
+        """A box from two corners of any kind of sequence."""
+        (x0, y0, z0), (x1, y1, z1) = map(float, low_m), map(float, high_m)
+        return cls((x0, y0, z0), (x1, y1, z1))
+
+    def grown(self, margin_m: float) -> Box:
+        """The box with ``margin_m`` added on every side."""
+        x0, y0, z0 = self.low_m
+        x1, y1, z1 = self.high_m
+        return Box(
+            (x0 - margin_m, y0 - margin_m, z0 - margin_m),
+            (x1 + margin_m, y1 + margin_m, z1 + margin_m),
+        )
+
+    @property
+    def centre_m(self) -> tuple[float, float, float]:
+        """The middle of the box."""
+        x, y, z = ((low + high) / 2 for low, high in zip(self.low_m, self.high_m, strict=True))
+        return (x, y, z)
+
+    @property
+    def size_m(self) -> tuple[float, float, float]:
+        """Edge lengths."""
+        x, y, z = (high - low for low, high in zip(self.low_m, self.high_m, strict=True))
+        return (x, y, z)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPath:
+    """One scan: the waypoints at which the sonar pings, in order (Park et al. 2025, eq. 8)."""
+
+    waypoints: tuple[Pose, ...]
+
+    @property
+    def length_m(self) -> float:
+        """Length of the straight legs between the waypoints."""
+        return sum(
+            math.dist(a.position_m, b.position_m)
+            for a, b in zip(self.waypoints, self.waypoints[1:], strict=False)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Nav:
+    """What the vehicle knows of its own motion: its pose estimate and the scans it has flown."""
+
+    pose: Pose | None
+    scans: tuple[ScanPath, ...]

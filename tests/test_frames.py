@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from insonify.errors import GeometryError
+from insonify.frames import (
+    directions_from_angles,
+    rotation_from_rpy,
+    transform_from_pose,
+    world_from_sonar,
+)
+from insonify.types import FanGeometry, Pose
+
+angle = st.floats(-math.pi, math.pi)
+
+
+@given(angle, angle, angle)
+def test_rotation_agrees_with_scipy(roll: float, pitch: float, yaw: float) -> None:
+    expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    np.testing.assert_allclose(rotation_from_rpy(roll, pitch, yaw), expected, atol=1e-12)
+
+
+def test_positive_pitch_and_tilt_point_the_nose_down() -> None:
+    down = rotation_from_rpy(0.0, math.radians(30), 0.0) @ [1.0, 0.0, 0.0]
+    assert down[2] == pytest.approx(-0.5)
+    tilted = world_from_sonar(Pose(1, 2, 3, yaw_rad=math.pi / 2), math.radians(30))
+    np.testing.assert_allclose(tilted[:3, 0], [0, math.cos(math.pi / 6), -0.5], atol=1e-12)
+    np.testing.assert_allclose(tilted[:3, 3], [1, 2, 3])
+
+
+def test_positive_azimuth_is_left_and_positive_elevation_up() -> None:
+    left = directions_from_angles(np.array(0.1), np.array(0.0))
+    up = directions_from_angles(np.array(0.0), np.array(0.1))
+    assert left[1] > 0 and left[2] == 0
+    assert up[2] > 0 and up[1] == 0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_pose_refuses_numbers_that_are_not_finite(bad: float) -> None:
+    with pytest.raises(GeometryError, match="finite"):
+        Pose(0.0, bad, 0.0)
+
+
+def test_transform_keeps_the_position() -> None:
+    np.testing.assert_allclose(transform_from_pose(Pose(1, -2, 3))[:3, 3], [1, -2, 3])
+
+
+def test_beams_run_from_port_to_starboard() -> None:
+    geometry = FanGeometry(math.radians(29), math.radians(14), 96, 513, 0.0, 12.825)
+    azimuths = geometry.beam_azimuths_rad
+    assert azimuths[0] > 0 > azimuths[-1]
+    np.testing.assert_allclose(np.diff(azimuths), -geometry.beam_rad)
+    assert geometry.bin_m == pytest.approx(0.025)
+    assert geometry.bin_ranges_m[0] == pytest.approx(0.0125)
+    assert geometry.bin_ranges_m[-1] == pytest.approx(12.825 - 0.0125)

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from insonify.errors import ConfigError, MeshError
+from insonify.io.configs import config_to_toml
+from insonify.scenarios import (
+    PLANNERS,
+    Config,
+    World,
+    parse_setting,
+    read_config,
+    scenario_config,
+    scenarios,
+)
+
+
+@pytest.mark.parametrize("name", sorted(scenarios()))
+def test_every_scenario_is_a_world_with_the_papers_figures(name: str) -> None:
+    config = scenario_config(name)
+    assert config.scenario == name
+    world = World(config)
+    assert world.area.region.low_m < world.body.box.low_m
+    assert set(PLANNERS) <= set(scenarios()[name]["paper"])
+    for planner in PLANNERS:
+        layered = scenario_config(name, [{"planner": planner}])
+        assert World(layered).planner().name == planner
+
+
+@pytest.mark.parametrize("name", sorted(scenarios()))
+def test_config_goes_through_toml_and_back(name: str, tmp_path: Path) -> None:
+    config = scenario_config(name, [{"seed": 3, "object": {"yaw_deg": 12.5}}])
+    text = config_to_toml(config)
+    assert Config.model_validate(tomllib.loads(text)) == config
+    (tmp_path / "c.toml").write_text(text)
+    assert scenario_config(name, [read_config(tmp_path / "c.toml")]) == config
+
+
+def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
+    config = scenario_config(
+        "tetrapod",
+        [
+            parse_setting("sonar=cerqueira-90x15"),
+            parse_setting("sonar.beams=64"),
+            parse_setting("mapping.voxel_m=0.2"),
+            parse_setting("mapping.voxel_m=0.4"),
+            parse_setting("object.mesh=shipwreck"),
+        ],
+    )
+    assert (config.sonar.name, config.sonar.beams, config.sonar.azimuth_fov_deg) == (
+        "cerqueira-90x15",
+        64,
+        90.0,
+    )
+    assert config.mapping.voxel_m == 0.4
+    assert config.object.mesh == "shipwreck"
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("mapping.voxel=0.2", "mapping.voxel_m"),
+        ("nonsense=1", "no setting 'nonsense'"),
+        ("mapping.voxel_m=-1", "greater than 0, not -1"),
+        ("mapping.voxel_m=nan", "mapping.voxel_m"),
+        ("sonar.beams=0", "sonar.beams"),
+        ("sonar.azimuth_fov_deg=0", "sonar.azimuth_fov_deg"),
+        ("sonar=nonesuch", "park-2025"),
+        ("sonar.range_min_m=20", "must exceed"),
+        ("entropy.candidates=0", "entropy.candidates"),
+        ("entropy.termination=1.5", "entropy.termination"),
+        ("planner=random", "'entropy', 'uniform' or 'lawnmower'"),
+        ("seed=-1", "seed"),
+        ("object=3", "object"),
+    ],
+)
+def test_bad_settings_say_which_and_why(setting: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        scenario_config("tetrapod", [parse_setting(setting)])
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_names_and_files(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'tetrapod'"):
+        scenario_config("tetrapot")
+    with pytest.raises(ConfigError, match="KEY=VALUE"):
+        parse_setting("mapping.voxel_m")
+    with pytest.raises(ConfigError, match="no such config"):
+        read_config(tmp_path / "none.toml")
+    (tmp_path / "bad.toml").write_text("a = = 1")
+    with pytest.raises(ConfigError, match="TOML"):
+        read_config(tmp_path / "bad.toml")
+
+
+def test_a_mesh_in_a_config_file_is_found_beside_it(tmp_path: Path) -> None:
+    trimesh.creation.box((1, 1, 1)).export(tmp_path / "box.stl")
+    (tmp_path / "c.toml").write_text('[object]\nmesh = "box.stl"\n')
+    config = scenario_config("tetrapod", [read_config(tmp_path / "c.toml")])
+    assert config.object.mesh == str(tmp_path / "box.stl")
+    assert World(config).body.box.size_m == pytest.approx((1, 1, 1))
+
+
+def test_an_object_smaller_than_a_voxel_is_refused(tmp_path: Path) -> None:
+    trimesh.creation.box((0.01, 0.01, 0.01)).export(tmp_path / "box.stl")
+    config = scenario_config("tetrapod", [{"object": {"mesh": str(tmp_path / "box.stl")}}])
+    with pytest.raises(MeshError, match=r"object\.scale"):
+        World(config)
+
+
+def test_the_seed_shapes_the_seabed() -> None:
+    a, b, c = (
+        World(scenario_config("tetrapod", [{"seed": seed}])).seabed.heights_m.tobytes()
+        for seed in (1, 1, 2)
+    )
+    assert a == b != c
