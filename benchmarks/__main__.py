@@ -76,7 +76,7 @@ def _evidence_as_rays(ping: Ping, pose: Pose, world: World) -> tuple[Float64, Fl
     elevation = (np.arange(32) + 0.5) / 32 * geometry.elevation_fov_rad
     elevation -= geometry.elevation_fov_rad / 2
     azimuth, elevation = np.meshgrid(geometry.beam_azimuths_rad, elevation)
-    transform = world_from_sonar(pose, geometry.tilt_rad)
+    transform = world_from_sonar(pose, geometry.mount)
     directions = directions_from_angles(azimuth, elevation) @ transform[:3, :3].T
     points = directions * geometry.bin_ranges_m[first][None, :, None] + transform[:3, 3]
     return np.ascontiguousarray(points.reshape(-1, 3)), np.array(pose.position_m)

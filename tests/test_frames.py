@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from insonify.errors import GeometryError
 from insonify.frames import (
+    compose,
     directions_from_angles,
+    pose_from_transform,
     rotation_from_rpy,
     transform_from_pose,
     world_from_sonar,
@@ -29,9 +31,24 @@ def test_rotation_agrees_with_scipy(roll: float, pitch: float, yaw: float) -> No
 def test_positive_pitch_and_tilt_point_the_nose_down() -> None:
     down = rotation_from_rpy(0.0, math.radians(30), 0.0) @ [1.0, 0.0, 0.0]
     assert down[2] == pytest.approx(-0.5)
-    tilted = world_from_sonar(Pose(1, 2, 3, yaw_rad=math.pi / 2), math.radians(30))
+    tilted = world_from_sonar(
+        Pose(1, 2, 3, yaw_rad=math.pi / 2), Pose(0, 0, 0, pitch_rad=math.radians(30))
+    )
     np.testing.assert_allclose(tilted[:3, 0], [0, math.cos(math.pi / 6), -0.5], atol=1e-12)
     np.testing.assert_allclose(tilted[:3, 3], [1, 2, 3])
+
+
+@given(angle, st.floats(-math.pi / 2, math.pi / 2), angle)
+def test_a_pose_survives_its_transform(roll: float, pitch: float, yaw: float) -> None:
+    pose = Pose(1.0, -2.0, 3.0, roll, pitch, yaw)
+    again = pose_from_transform(transform_from_pose(pose))
+    np.testing.assert_allclose(transform_from_pose(again), transform_from_pose(pose), atol=1e-7)
+
+
+def test_composed_poses_compose_their_transforms() -> None:
+    outer, inner = Pose(1, 2, 3, 0.1, 0.2, 0.3), Pose(-0.5, 0.4, 0.2, 0.3, -0.1, 2.0)
+    both = transform_from_pose(compose(outer, inner))
+    np.testing.assert_allclose(both, transform_from_pose(outer) @ transform_from_pose(inner))
 
 
 def test_positive_azimuth_is_left_and_positive_elevation_up() -> None:

@@ -16,7 +16,7 @@ from insonify.types import Nav, Pose, ScanPath
 SMALL = {
     "mapping": {"voxel_m": 0.25},
     "survey": {"waypoints": 6},
-    "sampling": {"rays_in_elevation": 24},
+    "sampling": {"over_elevation": 64},
 }
 
 

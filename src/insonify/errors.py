@@ -15,6 +15,10 @@ class MeshError(InsonifyError):
     """A mesh or height raster is missing, unreadable or unusable."""
 
 
+class WorldError(InsonifyError):
+    """A world file is unreadable, or names something that is not there."""
+
+
 class GeometryError(InsonifyError):
     """A pose, path or area makes no sense: not finite, or through an obstacle."""
 
@@ -29,3 +33,7 @@ class OutputError(InsonifyError):
 
 class MapFileError(InsonifyError):
     """A map file is missing, corrupt or of another version."""
+
+
+class RendererError(InsonifyError):
+    """A renderer cannot be had here, or cannot do what is asked."""

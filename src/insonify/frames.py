@@ -1,7 +1,7 @@
 """Rigid transforms and angles: the only place that builds rotations.
 
 World ENU, body and sonar forward-left-up (REP 103).  Azimuth is positive to the left, elevation
-positive up.  A sonar tilted down by ``tilt_rad`` is pitched about the body's left axis.
+positive up.  A sonar tilted down is pitched about the body's left axis.
 """
 
 from __future__ import annotations
@@ -35,11 +35,26 @@ def transform_from_pose(pose: Pose) -> Float64:
     return transform
 
 
-def world_from_sonar(pose: Pose, tilt_rad: float) -> Float64:
-    """Pose of a sonar mounted at the body's origin and tilted down by ``tilt_rad``, (4, 4)."""
-    transform = transform_from_pose(pose)
-    transform[:3, :3] = transform[:3, :3] @ rotation_from_rpy(0.0, tilt_rad, 0.0)
-    return transform
+def pose_from_transform(transform: Float64) -> Pose:
+    """The pose of ``world_from_body``, (4, 4); at a pitch of +-90 degrees the roll is 0."""
+    r = transform[:3, :3]
+    pitch_rad = math.asin(min(1.0, max(-1.0, -float(r[2, 0]))))
+    if abs(r[2, 0]) < 1.0 - 1e-12:
+        roll_rad, yaw_rad = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
+    else:
+        roll_rad, yaw_rad = 0.0, math.atan2(-r[0, 1], r[1, 1])
+    x_m, y_m, z_m = (float(c) for c in transform[:3, 3])
+    return Pose(x_m, y_m, z_m, roll_rad, pitch_rad, yaw_rad)
+
+
+def compose(outer: Pose, inner: Pose) -> Pose:
+    """A pose given in the frame of ``outer``, in the frame that ``outer`` is given in."""
+    return pose_from_transform(transform_from_pose(outer) @ transform_from_pose(inner))
+
+
+def world_from_sonar(pose: Pose, mount: Pose) -> Float64:
+    """``world_from_body @ body_from_sonar``, (4, 4), of a sonar mounted on a body."""
+    return transform_from_pose(pose) @ transform_from_pose(mount)
 
 
 def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:

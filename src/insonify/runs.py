@@ -242,7 +242,7 @@ def _check_memory(world: World) -> None:
     geometry = world.config.sonar.geometry
     for heading in np.arange(12) * math.tau / 12:
         for pose in path_over_centre(world.area, heading).waypoints[::4]:
-            transform = world_from_sonar(pose, geometry.tilt_rad)
+            transform = world_from_sonar(pose, geometry.mount)
             swept.allocate(blocks_in_fan(transform, geometry, swept.block_m))
     area_m3 = math.prod(world.area.region.size_m)
     swept_m3 = swept.block_count * swept.block_m**3

@@ -27,9 +27,10 @@ from insonify.scene import Body, Material, Scene
 from insonify.scene.meshes import load_mesh, place_mesh, scaled
 from insonify.scene.objects import PROCEDURAL_OBJECTS
 from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
-from insonify.sonar import SamplingSettings, Sonar
+from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice, sonar_preset
 from insonify.sonar.formation import ImageSettings
+from insonify.sonar.sampling import SamplingSettings
 from insonify.types import Box
 
 PLANNERS = ("entropy", "uniform", "lawnmower")

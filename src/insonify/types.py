@@ -57,6 +57,7 @@ class FanGeometry:
 
     Beams are reported from port to starboard: beam 0 looks at the largest (leftmost) azimuth.
     Every beam spans the whole elevation field of view; that is the information the image loses.
+    ``mount`` is the sonar's place on the body, ``body_from_sonar``; a pitch there tilts it down.
     """
 
     azimuth_fov_rad: float
@@ -65,7 +66,12 @@ class FanGeometry:
     bins: int
     range_min_m: float
     range_max_m: float
-    tilt_rad: float = 0.0
+    mount: Pose = Pose(0.0, 0.0, 0.0)
+
+    @property
+    def tilt_rad(self) -> float:
+        """How far the sonar's axis is tilted down from the body's."""
+        return self.mount.pitch_rad
 
     @property
     def bin_m(self) -> float:

@@ -24,7 +24,13 @@ L_OCC, L_FREE = log_odds(SETTINGS.p_occupied), log_odds(SETTINGS.p_free)
 
 def _geometry(beams: int = 24, bins: int = 60, azimuth: float = 29.0) -> FanGeometry:
     return FanGeometry(
-        math.radians(azimuth), math.radians(14.0), beams, bins, 0.0, 6.0, math.radians(30.0)
+        math.radians(azimuth),
+        math.radians(14.0),
+        beams,
+        bins,
+        0.0,
+        6.0,
+        Pose(0.0, 0.0, 0.0, pitch_rad=math.radians(30.0)),
     )
 
 
@@ -38,7 +44,7 @@ def _ping(geometry: FanGeometry, seed: int, share: float = 0.02) -> Ping:
 def _brute_force(ping: Ping, pose: Pose, centre: np.ndarray, half: float) -> str:
     """What one ping says about the cube around a centre: occupied, free, view or nothing."""
     g = ping.geometry
-    transform = world_from_sonar(pose, g.tilt_rad)
+    transform = world_from_sonar(pose, g.mount)
     x, y, z = p = transform[:3, :3].T @ (centre - transform[:3, 3])
     r, flat = np.linalg.norm(p), math.hypot(x, y)
     if x <= 0 or flat < half:
@@ -130,7 +136,7 @@ def test_no_echo_is_lost(seed: int, voxel_m: float) -> None:
     mapper.integrate(Ping(image, geometry), pose)
     elevation = np.linspace(-0.499, 0.499, 25) * geometry.elevation_fov_rad
     azimuth = np.full(25, geometry.beam_azimuths_rad[beam])
-    transform = world_from_sonar(pose, geometry.tilt_rad)
+    transform = world_from_sonar(pose, geometry.mount)
     arc = directions_from_angles(azimuth, elevation) * geometry.bin_ranges_m[cell]
     points = arc @ transform[:3, :3].T + transform[:3, 3]
     index = np.floor(points / voxel_m).astype(int)
@@ -212,7 +218,7 @@ def test_one_thread_and_two_make_the_same_map() -> None:
 @pytest.mark.parametrize("azimuth_deg", [3.0, 29.0, 130.0, 179.0])
 def test_no_block_of_the_fan_is_missed(azimuth_deg: float, rng: np.random.Generator) -> None:
     geometry = _geometry(azimuth=azimuth_deg)
-    transform = world_from_sonar(Pose(1, 2, 3, 0.1, 0.2, 0.3), geometry.tilt_rad)
+    transform = world_from_sonar(Pose(1, 2, 3, 0.1, 0.2, 0.3), geometry.mount)
     found = set(map(tuple, blocks_in_fan(transform, geometry, 0.4).tolist()))
     azimuth = rng.uniform(-0.5, 0.5, 20000) * geometry.azimuth_fov_rad
     elevation = rng.uniform(-0.5, 0.5, 20000) * geometry.elevation_fov_rad

@@ -60,7 +60,7 @@ def test_standoff_puts_the_centre_on_the_sonars_axis() -> None:
     radius = standoff_radius(cluster, 5.0, GEOMETRY)
     assert radius == pytest.approx(4.0 / math.tan(math.radians(30)))
     for pose in candidate_poses(cluster, radius, 5.0, 7):
-        axis = world_from_sonar(pose, GEOMETRY.tilt_rad)[:3, 0]
+        axis = world_from_sonar(pose, GEOMETRY.mount)[:3, 0]
         towards = np.subtract(cluster.centre_m, pose.position_m)
         np.testing.assert_allclose(axis, towards / np.linalg.norm(towards), atol=1e-12)
     assert standoff_radius(_cluster((0, 0, 1.0), 30.0), 5.0, GEOMETRY) == 30.0
@@ -83,7 +83,7 @@ def test_equation_6_against_brute_force(rng: np.random.Generator) -> None:
     poses = [Pose(0, 0, 5.0), Pose(0, 1, 5.0, yaw_rad=-0.2), Pose(12, 0, 5.0, yaw_rad=math.pi)]
     expected = []
     for pose in poses:
-        transform = world_from_sonar(pose, GEOMETRY.tilt_rad)
+        transform = world_from_sonar(pose, GEOMETRY.mount)
 
         def polar(points: np.ndarray, transform: np.ndarray = transform) -> tuple[np.ndarray, ...]:
             p = (points - transform[:3, 3]) @ transform[:3, :3]

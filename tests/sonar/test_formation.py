@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from insonify.sonar.embree import EchoHistogram
 from insonify.sonar.formation import ImageSettings, form_image, normalise_energy, speckle
+from insonify.sonar.histogram import EchoHistogram
 
 
 def _sigmoid(value: float, slope: float, centre: float) -> float:

@@ -81,7 +81,7 @@ class BayesMapper:
     def integrate(self, ping: Ping, pose: Pose) -> None:
         """Update every voxel inside the fan (eq. 2)."""
         geometry = ping.geometry
-        transform = world_from_sonar(pose, geometry.tilt_rad)
+        transform = world_from_sonar(pose, geometry.mount)
         blocks = blocks_in_fan(transform, geometry, self.voxels.block_m)
         # neighbours far apart in the list: two threads then share near and far blocks evenly
         blocks = np.ascontiguousarray(np.vstack([blocks[::2], blocks[1::2]]))

@@ -40,7 +40,7 @@ def entropy_in_view(
     """
     if not poses:
         return np.empty(0)
-    transforms = np.stack([world_from_sonar(pose, geometry.tilt_rad) for pose in poses])
+    transforms = np.stack([world_from_sonar(pose, geometry.mount) for pose in poses])
     return _sum_entropy(
         transforms,
         geometry.azimuth_fov_rad / 2,

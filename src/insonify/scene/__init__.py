@@ -9,26 +9,22 @@ import numpy as np
 import trimesh
 
 from insonify.frames import directions_from_angles
+from insonify.scene.materials import Material, NormalMap, bend_normals
 from insonify.scene.rays import Hits, RayTracer
 from insonify.scene.seabed import Seabed
 from insonify.types import Box, Float32, Float64, Pose, ScanPath
 
-
-@dataclass(frozen=True, slots=True)
-class Material:
-    """How strongly a surface echoes: the reflectance R of Cerqueira et al. 2017, section 3.2."""
-
-    name: str
-    reflectance: float
+__all__ = ["Body", "Material", "Scene"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A mesh in its place, metres, world frame."""
+    """A mesh in its place, metres, world frame; its name is its label in ground truth."""
 
     name: str
     mesh: trimesh.Trimesh
-    material: Material
+    material: Material = Material("default")
+    normal_map: NormalMap | None = None
 
     @property
     def box(self) -> Box:
@@ -48,25 +44,51 @@ class Scene:
         """Build from bodies; the seabed, if any, is the last body of every ray query."""
         self.bodies = bodies
         self.seabed = seabed
+        self._reliefs: dict[int, tuple[Float32, Float32, Float32]] = {}
         materials = [body.material for body in bodies]
-        self._meshes = [
+        self.meshes = [
             (np.asarray(body.mesh.vertices), np.asarray(body.mesh.faces)) for body in bodies
         ]
         if seabed is not None:
-            self._meshes.append(seabed.triangles())
+            self.meshes.append(seabed.triangles())
             materials.append(seabed_material)
-        if not self._meshes:
+        if not self.meshes:
             raise ValueError("a scene needs a body or a seabed")
+        self.materials = tuple(materials)
+        self.labels = tuple(body.name for body in bodies) + (("seabed",) if seabed else ())
         self.reflectance: Float32 = np.array([m.reflectance for m in materials], np.float32)
+        self.lambert: Float32 = np.array([10 ** (m.lambert_db / 10) for m in materials], np.float32)
 
     @cached_property
     def rays(self) -> RayTracer:
         """The ray tracer over all bodies and the seabed."""
-        return RayTracer(self._meshes)
+        return RayTracer(self.meshes)
 
-    def cast(self, origin_m: Float64, directions: Float32) -> Hits:
+    def cast(self, origin_m: Float64, directions: Float32, limit_m: float = np.inf) -> Hits:
         """First hits of rays; see `RayTracer.cast`."""
-        return self.rays.cast(origin_m, directions)
+        return self.rays.cast(origin_m, directions, limit_m)
+
+    def shading_normals(self, hits: Hits, directions: Float32) -> Float32:
+        """Normals (N, 3) that the echo depends on: the triangles', or those of normal maps."""
+        bumpy = [k for k, body in enumerate(self.bodies) if body.normal_map is not None]
+        if not bumpy:
+            return hits.normal
+        normal = hits.normal.copy()
+        for body in bumpy:
+            mask = np.flatnonzero(hits.body == body).astype(np.int32)
+            if len(mask):
+                bend_normals(normal, directions, mask, hits.triangle, hits.uv, *self._relief(body))
+        return normal
+
+    def _relief(self, body: int) -> tuple[Float32, Float32, Float32]:
+        """Corners, texture coordinates and normals of a body's normal map, as kernels take them."""
+        if body not in self._reliefs:
+            mesh, relief = self.bodies[body].mesh, self.bodies[body].normal_map
+            assert relief is not None
+            faces = np.asarray(mesh.faces)
+            corners = np.asarray(mesh.vertices - mesh.vertices.mean(axis=0), np.float32)[faces]
+            self._reliefs[body] = corners, relief.uv.astype(np.float32)[faces], relief.normals
+        return self._reliefs[body]
 
     def first_collision(self, path: ScanPath, clearance_m: float) -> Pose | None:
         """The first pose on a path that comes nearer than ``clearance_m`` to anything, or None.

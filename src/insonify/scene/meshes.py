@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import trimesh
 
 from insonify.errors import MeshError
 from insonify.frames import rotation_from_rpy
+from insonify.types import Float64
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".gltf", ".glb", ".dae")
 LARGEST_EXTENT_M = 1000.0
 
 
-def load_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
+def load_mesh(path: Path, scale: float = 1.0, part: str = "") -> trimesh.Trimesh:
     """Read a mesh file as one body, in metres, z up.
 
     Args:
         path: OBJ, STL, PLY, glTF/GLB or COLLADA file; parts of a scene are merged.
         scale: Factor to metres (0.001 for a mesh in millimetres).
+        part: Only the node or mesh of this name, if it is given.
 
     Raises:
         MeshError: The file is missing, of another kind, unreadable, empty, has vertices that are
@@ -30,7 +33,7 @@ def load_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
         raise MeshError(f"{path}: a mesh file ends in {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise MeshError(f"{path}: there is no such mesh file; check the path")
-    mesh = _read(path)
+    mesh = _read(path, part)
     if len(mesh.faces) == 0:
         raise MeshError(f"{path}: the mesh has no triangles; export it with its faces")
     vertices = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
@@ -49,15 +52,71 @@ def load_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
     return mesh
 
 
-def _read(path: Path) -> trimesh.Trimesh:
+def _read(path: Path, part: str) -> trimesh.Trimesh:
     try:
         loaded = trimesh.load_scene(path, process=False)
-        mesh: trimesh.Trimesh = loaded.to_mesh()
     except MemoryError:
         raise
     except Exception as err:  # each of trimesh's readers raises errors of its own
         reason = str(err).strip().splitlines()[0] if str(err).strip() else type(err).__name__
         raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
+    wanted = _names_of_part(path, part) if part else set()
+    to_metres = _collada_unit_m(path)
+    meshes = []
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        mesh = loaded.geometry[name]
+        if isinstance(mesh, trimesh.Trimesh) and (not part or {node, name} & wanted):
+            meshes.append(mesh.copy())
+            meshes[-1].apply_transform(transform)
+            meshes[-1].apply_transform(np.diag([to_metres, to_metres, to_metres, 1.0]))
+    if part and not meshes:
+        names = ", ".join(sorted(loaded.geometry)) or "none"
+        raise MeshError(f"{path}: it has no part named {part!r}; its parts: {names}")
+    return _joined(meshes)
+
+
+def _names_of_part(path: Path, part: str) -> set[str]:
+    """The names by which trimesh may know a part: for COLLADA, the meshes of the node so named."""
+    names = {part}
+    if path.suffix.lower() == ".dae":
+        for node in ET.parse(path).getroot().iter():
+            if node.tag.endswith("}node") and part in {node.get("name"), node.get("id")}:
+                names |= {
+                    child.get("url", "").lstrip("#")
+                    for child in node.iter()
+                    if child.tag.endswith("}instance_geometry")
+                }
+    return names
+
+
+def _collada_unit_m(path: Path) -> float:
+    """Metres in a COLLADA file's unit; 1 for other kinds, which name none."""
+    if path.suffix.lower() != ".dae":
+        return 1.0
+    for element in ET.parse(path).getroot().iter():
+        if element.tag.endswith("}unit"):
+            try:
+                return float(element.get("meter", "1"))
+            except ValueError as err:
+                raise MeshError(f"{path}: its unit is {element.get('meter')!r} metres") from err
+    return 1.0
+
+
+def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Meshes as one, with texture coordinates where all of them have some."""
+    if not meshes:
+        return trimesh.Trimesh()
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    vertices = np.vstack([mesh.vertices for mesh in meshes])
+    joined = trimesh.Trimesh(vertices, np.vstack(faces), process=False)
+    uvs = [uv for mesh in meshes if (uv := getattr(mesh.visual, "uv", None)) is not None]
+    return _textured(joined, np.vstack(uvs)) if len(uvs) == len(meshes) else joined
+
+
+def _textured(mesh: trimesh.Trimesh, uv: Float64) -> trimesh.Trimesh:
+    mesh.visual = trimesh.visual.TextureVisuals(uv=uv)  # type: ignore[no-untyped-call]
     return mesh
 
 
@@ -65,7 +124,9 @@ def scaled(mesh: trimesh.Trimesh, scale: float) -> trimesh.Trimesh:
     """A copy with all lengths multiplied by ``scale``, without vertices that no face uses."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = np.asarray(mesh.vertices, np.float64)[used] * scale
-    return trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False)
+    copy = trimesh.Trimesh(vertices, faces.reshape(-1, 3), process=False)
+    uv = getattr(mesh.visual, "uv", None)
+    return copy if uv is None else _textured(copy, np.asarray(uv)[used])
 
 
 def place_mesh(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
-from insonify.types import Float32, Float64, Int32
+from insonify.types import Array, Float32, Float64, Int32
+
+_RAYS_A_THREAD = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,11 +23,15 @@ class Hits:
         range_m: (N,) float32; infinite where nothing was hit.
         normal: (N, 3) float32, the triangle's normal, not normalised, either side.
         body: (N,) int32, index of the body hit; -1 where nothing was hit.
+        triangle: (N,) int32, index of the triangle in its body; -1 where nothing was hit.
+        uv: (N, 2) float32, barycentric weights of the triangle's second and third corner.
     """
 
     range_m: Float32
     normal: Float32
     body: Int32
+    triangle: Int32
+    uv: Float32
 
 
 class RayTracer:
@@ -41,12 +49,43 @@ class RayTracer:
         for vertices, faces in meshes:
             local = np.ascontiguousarray(vertices - self._middle, dtype=np.float32)
             TriangleMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
+        self._threads = os.cpu_count() or 1
+        self._pool: ThreadPoolExecutor | None = None
 
-    def cast(self, origin_m: Float64, directions: Float32) -> Hits:
-        """First hits of rays from one point (3,) or a point each (N, 3); unit directions (N, 3)."""
+    def cast(self, origin_m: Float64, directions: Float32, limit_m: float = np.inf) -> Hits:
+        """First hits of rays.
+
+        Args:
+            origin_m: One point (3,) or a point each (N, 3), world frame.
+            directions: (N, 3) unit vectors.
+            limit_m: Nothing farther away is looked for, which is faster.
+        """
         local = np.asarray(origin_m - self._middle, dtype=np.float32)
         origins = np.ascontiguousarray(np.broadcast_to(local, directions.shape))
-        found = self._scene.run(origins, directions, query="INTERSECT", output=1)
+        limits = np.full(len(directions), min(limit_m, 1e30), np.float32)
+        directions = np.ascontiguousarray(directions, dtype=np.float32)
+        found = self._run(origins, directions, limits)
         body: Int32 = found["geomID"]
         range_m = np.where(body >= 0, found["tfar"], np.float32(np.inf))
-        return Hits(range_m, found["Ng"], body)
+        uv = np.column_stack([found["u"], found["v"]])
+        return Hits(range_m, found["Ng"], body, found["primID"], uv)
+
+    def _run(self, origins: Float32, directions: Float32, limits: Float32) -> dict[str, Array]:
+        """Embree's answer; many rays are shared among threads (Embree releases Python's lock)."""
+
+        def part(start: int, stop: int) -> dict[str, Array]:
+            answer: dict[str, Array] = self._scene.run(
+                origins[start:stop], directions[start:stop], limits[start:stop],
+                query="INTERSECT", output=1,
+            )  # fmt: skip
+            return answer
+
+        count = len(directions)
+        parts = min(self._threads, count // _RAYS_A_THREAD)
+        if parts < 2 or not self._scene.is_committed:
+            return part(0, count)
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads)
+        cuts = [count * k // parts for k in range(parts + 1)]
+        answers = list(self._pool.map(part, cuts[:-1], cuts[1:]))
+        return {key: np.concatenate([a[key] for a in answers]) for key in answers[0]}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from insonify.errors import MeshError
-from insonify.types import Float64, Int32
+from insonify.types import Array, Float64, Int32
 
 RASTER_SUFFIXES = (".npy", ".tif", ".tiff", ".png", ".asc")
 
@@ -42,12 +42,18 @@ class Seabed:
         rows, columns = self.heights_m.shape
         x = self.origin_m[0] + np.arange(columns) * self.cell_m
         y = self.origin_m[1] + np.arange(rows) * self.cell_m
-        grid_x, grid_y = np.meshgrid(x, y)
-        vertices = np.column_stack([grid_x.ravel(), grid_y.ravel(), self.heights_m.ravel()])
-        first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-        lower = np.column_stack([first, first + 1, first + columns])
-        upper = np.column_stack([first + 1, first + columns + 1, first + columns])
-        return vertices, np.vstack([lower, upper]).astype(np.int32)
+        return grid_triangles(x, y, self.heights_m)
+
+
+def grid_triangles(x_m: Array, y_m: Array, heights_m: Float64) -> tuple[Float64, Int32]:
+    """Heights (rows over y, columns over x) as vertices (N, 3) and faces (M, 3), facing up."""
+    rows, columns = heights_m.shape
+    grid_x, grid_y = np.meshgrid(x_m, y_m)
+    vertices = np.column_stack([grid_x.ravel(), grid_y.ravel(), heights_m.ravel()])
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    lower = np.column_stack([first, first + 1, first + columns])
+    upper = np.column_stack([first + 1, first + columns + 1, first + columns])
+    return vertices, np.vstack([lower, upper]).astype(np.int32)
 
 
 def procedural_seabed(

@@ -5,22 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
 
 from insonify.scene import Scene
 from insonify.sonar.devices import SonarDevice
-from insonify.sonar.embree import EmbreeRenderer, Response
+from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
+from insonify.sonar.histogram import Law, Response
+from insonify.sonar.sampling import SamplingSettings
 from insonify.types import Ping, Pose
-
-
-class SamplingSettings(BaseModel):
-    """How finely rays sample the beams."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    rays_per_beam: int = Field(2, ge=1, le=64, description="rays across a beam's azimuth")
-    rays_in_elevation: int = Field(96, ge=2, le=8192, description="rays over the elevation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +32,7 @@ class Sonar:
     def ping(self, scene: Scene, pose: Pose, rng: np.random.Generator) -> Ping:
         """One image of a scene from a vehicle pose; the noise is drawn from ``rng``."""
         geometry = self.device.geometry
-        renderer = EmbreeRenderer(
-            self.sampling.rays_per_beam,
-            self.sampling.rays_in_elevation,
-            Response(self.image.sigmoid_slope, self.image.sigmoid_centre),
-        )
-        echoes = renderer.render(scene, geometry, pose)
+        renderer = EmbreeRenderer(self.sampling)
+        response = Response(Law.SIGMOID, self.image.sigmoid_slope, self.image.sigmoid_centre)
+        echoes = renderer.render(scene, geometry, pose, response)
         return Ping(form_image(echoes, self.image, rng), geometry)

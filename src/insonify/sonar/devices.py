@@ -11,7 +11,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from insonify.errors import ConfigError
-from insonify.types import FanGeometry
+from insonify.types import FanGeometry, Pose
 
 
 class SonarDevice(BaseModel):
@@ -49,7 +49,7 @@ class SonarDevice(BaseModel):
             bins=self.bins,
             range_min_m=self.range_min_m,
             range_max_m=self.range_max_m,
-            tilt_rad=math.radians(self.tilt_deg),
+            mount=Pose(0.0, 0.0, 0.0, pitch_rad=math.radians(self.tilt_deg)),
         )
 
 

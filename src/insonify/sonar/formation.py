@@ -10,7 +10,7 @@ import math
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from insonify.sonar.embree import EchoHistogram
+from insonify.sonar.histogram import FULL_CELL, EchoHistogram
 from insonify.types import Float32
 
 
@@ -47,10 +47,14 @@ def form_image(echoes: EchoHistogram, settings: ImageSettings, rng: np.random.Ge
 
 
 def normalise_energy(echoes: EchoHistogram) -> Float32:
-    """Mean echo of the samples in each cell, 0 where there is none (eq. 1)."""
-    image = np.zeros(echoes.samples.shape, np.float32)
-    np.divide(echoes.echo_sum, echoes.samples, out=image, where=echoes.samples > 1e-6)
-    return image
+    """Mean echo of the samples in each cell, 0 where there is none (eq. 1).
+
+    A cell that holds next to nothing, less than ``FULL_CELL`` of an even share of its beam, fades
+    with it.  Otherwise an outline's brightness would hang on whether one sample more just touches
+    a cell, and no number of samples would settle it.
+    """
+    least = np.float32(FULL_CELL / echoes.coverage.shape[0])
+    return (echoes.echo / np.maximum(echoes.coverage, least)).astype(np.float32)
 
 
 def speckle(
