@@ -14,6 +14,7 @@ from insonify.evaluation import (
     score_map,
     voxelise_surface,
 )
+from insonify.frames import rotation_from_rpy
 from insonify.mapping.voxels import VoxelMap
 from insonify.scene import Body, Material, Scene
 from insonify.scene.meshes import place_mesh
@@ -69,7 +70,11 @@ def test_surface_voxels_hold_every_point_of_the_surface() -> None:
 
 def _scene(burial_m: float = 0.3) -> tuple[Scene, Body]:
     seabed = Seabed(np.zeros((2, 2)), 100.0, (-50.0, -50.0))
-    body = Body("tetrapod", place_mesh(tetrapod(), 0, 0, -burial_m, 0.4), Material("c", 1.0))
+    body = Body(
+        "tetrapod",
+        place_mesh(tetrapod(), 0, 0, -burial_m, rotation_from_rpy(0, 0, 0.4)),
+        Material("c", 1.0),
+    )
     return Scene((body,), seabed), body
 
 

@@ -2,12 +2,16 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
 
-from insonify.errors import ConfigError, MeshError
+from insonify.errors import ConfigError, InsonifyError, MeshError
 from insonify.io.configs import config_to_toml
+from insonify.mapping.voxels import VoxelMap
+from insonify.planning.baselines import FixedPlan
 from insonify.scenarios import (
     PLANNERS,
     Config,
@@ -17,6 +21,9 @@ from insonify.scenarios import (
     scenario_config,
     scenarios,
 )
+from insonify.sonar.embree import EmbreeRenderer
+from insonify.sonar.histogram import Response
+from insonify.types import Nav
 
 
 @pytest.mark.parametrize("name", sorted(scenarios()))
@@ -38,6 +45,9 @@ def test_config_goes_through_toml_and_back(name: str, tmp_path: Path) -> None:
     assert Config.model_validate(tomllib.loads(text)) == config
     (tmp_path / "c.toml").write_text(text)
     assert scenario_config(name, [read_config(tmp_path / "c.toml")]) == config
+
+
+DOWN = np.array([[0.0, 0.0, -1.0]], np.float32)
 
 
 def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
@@ -117,3 +127,46 @@ def test_the_seed_shapes_the_seabed() -> None:
         for seed in (1, 1, 2)
     )
     assert a == b != c
+
+
+@pytest.mark.parametrize("name", sorted(scenarios()))
+def test_no_scan_begins_with_the_object_in_view(name: str) -> None:
+    """Park et al. 2025, section 4: the lawnmower starts where the object is not visible."""
+    for planner in ("entropy", "uniform", "lawnmower"):
+        world = World(scenario_config(name, [{"planner": planner}]))
+        made = world.planner()
+        paths = made.plan if isinstance(made, FixedPlan) else ()
+        first = made.next_scan(VoxelMap(0.1), Nav(None, ())).path
+        assert first is not None
+        for path in paths or (first,):
+            samples = EmbreeRenderer().sample(
+                world.scene, world.sonar.device.geometry, path.waypoints[0], Response()
+            )
+            reach = world.sonar.device.range_max_m
+            assert not any(((s.body == 0) & (s.range_m < reach)).any() for s in samples), planner
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"object": {"burial_m": 50.0}}, "below the seabed"),
+        ({"seabed": {"size_m": 10.0}}, "seabed.size_m"),
+        ({"seabed": {"cell_m": 0.001}}, "seabed.cell_m"),
+        ({"survey": {"altitude_m": 30.0}}, "above the water"),
+        ({"survey": {"floor_m": 50.0}}, "survey.floor_m"),
+        ({"sampling": {"across_beam": 64, "over_elevation": 8192}}, "rays a ping"),
+        ({"scenario": "wreck"}, "scenario 'wreck', not of 'tetrapod'"),
+    ],
+)
+def test_orders_that_make_no_sense_are_refused(setting: dict[str, Any], words: str) -> None:
+    with pytest.raises(InsonifyError, match=words):
+        World(scenario_config("tetrapod", [setting]))
+
+
+def test_the_seabed_lies_around_the_object_and_altitude_is_above_it(tmp_path: Path) -> None:
+    far = World(scenario_config("tetrapod", [{"object": {"x_m": 500.0, "y_m": -300.0}}]))
+    assert np.isfinite(far.scene.cast(np.array([500.0, -315.0, 0.0]), DOWN).range_m).all()
+    np.save(tmp_path / "deep.npy", np.full((200, 200), -30.0))
+    raster = {"raster": str(tmp_path / "deep.npy"), "depth_m": 0.0, "cell_m": 0.5}
+    deep = World(scenario_config("tetrapod", [{"seabed": raster}]))
+    assert deep.area.z_m == pytest.approx(-25.0)

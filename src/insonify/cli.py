@@ -5,6 +5,7 @@ Heavy imports wait until a command needs them, so that ``insonify --help`` is qu
 
 from __future__ import annotations
 
+import errno
 import json
 import signal
 import sys
@@ -65,6 +66,11 @@ def main() -> None:
     except _Interrupted:
         print("insonify: interrupted; nothing was written", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
+    except OSError as err:
+        if err.errno != errno.ENOSPC:
+            raise
+        print("insonify: the output cannot be written: no space left", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
 
 
 def _version(wanted: bool) -> None:
@@ -111,17 +117,17 @@ def scan(
     full = _configure(scenario, config, settings, chosen)
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
-    with result_folder(folder, force=force) as scratch, _interruptible() as interrupted:
+    with result_folder(folder, force=force) as place, _interruptible() as interrupted:
         with _progress() as watch:
             run = execute(full, watch=watch, should_stop=interrupted)
-        if run.history:
-            _write_results(run, scratch)
+        if run.pings or not interrupted():
+            _write_results(run, place.scratch)
     result = run.result()
     if as_json:
         print(json.dumps(result, indent=2))
     else:
         _print_result(result)
-    print(f"Report: {folder / 'report.html'}", file=sys.stderr)
+    print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
     if interrupted():
         print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
@@ -140,10 +146,12 @@ def compare(
     from insonify.comparison import summarise
 
     with _interruptible() as interrupted, _progress() as watch:
-        rows = compare_planners(
-            names, seeds, _layers(config, settings), watch=watch, should_stop=interrupted
-        )
+        layers = [*_layers(config, None), *_compared(settings)]
+        rows = compare_planners(names, seeds, layers, watch=watch, should_stop=interrupted)
     table = summarise(rows)
+    if not rows:
+        print("insonify: interrupted before the first run was complete", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED)
     if as_json:
         print(json.dumps({"runs": rows, "table": table}, indent=2))
     else:
@@ -209,8 +217,23 @@ def _choices(**given: Any) -> Table:
     return {key: value for key, value in given.items() if value is not None}
 
 
+def _compared(settings: list[str] | None) -> list[Table]:
+    """Single settings of a comparison, which chooses planners and seeds itself."""
+    layers = _layers(None, settings)
+    for layer in layers:
+        for key in ("planner", "seed"):
+            if key in layer:
+                raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+    return layers
+
+
 def _mesh_table(mesh: Path | None) -> Table | None:
-    return None if mesh is None else {"mesh": str(mesh)}
+    """As a setting; absolute, so that the saved config runs from any folder."""
+    if mesh is None:
+        return None
+    if not mesh.name:
+        raise ConfigError(f"--object takes a mesh file, not {str(mesh)!r}")
+    return {"mesh": str(mesh.absolute())}
 
 
 def _layers(config: Path | None, settings: list[str] | None) -> list[Table]:
@@ -223,15 +246,15 @@ def _layers(config: Path | None, settings: list[str] | None) -> list[Table]:
 def _configure(
     scenario: str | None, config: Path | None, settings: list[str] | None, chosen: Table
 ) -> Config:
-    """The config of a command: scenario, then file, then single settings, then options."""
+    """The config of a command: scenario, then file, then options, then single settings."""
     from insonify.scenarios import scenario_config
 
-    layers = _layers(config, settings)
+    from_file, single = _layers(config, None), _layers(None, settings)
     if scenario is None:
-        if config is None or "scenario" not in layers[0]:
+        if not from_file or "scenario" not in from_file[0]:
             raise ConfigError("name a scenario (see `insonify scenarios`), or give a --config")
-        scenario = str(layers[0]["scenario"])
-    return scenario_config(scenario, [*layers, chosen])
+        scenario = str(from_file[0]["scenario"])
+    return scenario_config(scenario, [*from_file, chosen, *single])
 
 
 def _write_results(run: Run, folder: Path) -> None:
@@ -244,7 +267,8 @@ def _write_results(run: Run, folder: Path) -> None:
     (folder / "result.json").write_text(text, encoding="utf-8")
     (folder / "config.toml").write_text(config_to_toml(run.config), encoding="utf-8")
     save_map(voxels, folder / "map.npz")
-    save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy)
+    region = run.world.area.region
+    save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy, region)
     write_report(run, folder / "report.html")
 
 
@@ -258,6 +282,8 @@ def _interruptible() -> Iterator[Callable[[], bool]]:
         if asked:
             raise _Interrupted
         asked = True
+        text = "insonify: finishing with what is complete; Ctrl-C again discards it"
+        print(text, file=sys.stderr)
 
     before = signal.signal(signal.SIGINT, ask)
     try:
@@ -274,7 +300,11 @@ def _progress() -> Iterator[Callable[[Run, Step], None]]:
     from insonify.mission import Decided, Mapped
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"))
-    with Progress(*columns, TimeElapsedColumn(), console=_stderr(), transient=True) as bar:
+    console = _stderr()
+    shown = console.is_terminal
+    with Progress(
+        *columns, TimeElapsedColumn(), console=console, transient=True, disable=not shown
+    ) as bar:
         task = bar.add_task("setting up", total=None, speed="")
         started = time.perf_counter()
 
@@ -341,7 +371,8 @@ def _print_comparison(table: dict[str, Any]) -> None:
                 cells = []
                 for planner in order:
                     figure = planners[planner][kind][match][score]
-                    cells.append(f"{figure['mean']:.3f} ±{figure['ci95']:.3f}")
+                    spread = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
+                    cells.append(f"{figure['mean']:.3f}{spread}")
                     cells.append(f"{planners[planner]['paper'][score]:.3f}")
                 view.add_row(score, *cells)
             view.add_section()

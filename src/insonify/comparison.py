@@ -23,7 +23,6 @@ def compare(
     layers: Iterable[Table] = (),
     *,
     watch: Callable[[Run, Step], None] = lambda run, step: None,
-    on_result: Callable[[Row], None] = lambda row: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> list[Row]:
     """Run every planner on every scenario and seed.
@@ -36,7 +35,6 @@ def compare(
         seeds: Seeds 0 to ``seeds - 1``.
         layers: Settings on top of each scenario.
         watch: Called after every step of every run.
-        on_result: Called after every run.
         should_stop: Asked during the runs; if true, the rows of the complete ones are returned.
 
     Raises:
@@ -56,7 +54,6 @@ def compare(
                 if should_stop():
                     return rows
                 rows.append(run.result())
-                on_result(rows[-1])
                 scans = scans or {"survey": {"baseline_scans": len(run.paths)}}
     return rows
 
@@ -66,8 +63,8 @@ def summarise(rows: Sequence[Row]) -> Row:
 
     Returns:
         scenario -> planner -> {"scans", "pings", "path_m", "surface", "solid", "paper"}, where a
-        figure of ours is {"mean", "ci95"} and ``ci95`` the half width of Student's interval (0
-        for a single seed).
+        figure of ours is {"mean", "ci95"} and ``ci95`` the half width of Student's interval
+        (None for a single seed).
     """
     table: Row = {}
     for name in dict.fromkeys(row["scenario"] for row in rows):
@@ -92,9 +89,9 @@ def summarise(rows: Sequence[Row]) -> Row:
     return table
 
 
-def _interval(values: Sequence[float]) -> dict[str, float]:
+def _interval(values: Sequence[float]) -> dict[str, float | None]:
     count = len(values)
-    half = 0.0
+    half = None
     if count > 1:
         t = float(special.stdtrit(count - 1, 0.975))
         half = t * float(np.std(values, ddof=1)) / math.sqrt(count)

@@ -9,7 +9,7 @@ output from one iteration only, so the number of threads never changes a result.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 
@@ -21,13 +21,19 @@ prange = numba.prange
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a serial kernel or a device function called from other kernels."""
-    compiled: Callable[P, R] = numba.njit(cache=True, error_model="numpy", nogil=True)(function)
-    return compiled
+    return _compile(function, parallel=False)
 
 
 def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel whose ``prange`` loops run on all cores."""
-    compiled: Callable[P, R] = numba.njit(
-        cache=True, error_model="numpy", nogil=True, parallel=True
-    )(function)
+    return _compile(function, parallel=True)
+
+
+def _compile(function: Callable[P, R], parallel: bool) -> Callable[P, R]:
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "parallel": parallel}
+    compiled: Callable[P, R]
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # neither the sources' folder nor a home can be written: compile each time
+        compiled = numba.njit(**options)(function)
     return compiled

@@ -76,12 +76,13 @@ def fly(
     while True:
         decision = planner.next_scan(mapper.voxels, nav)  # entropy map, C_max, candidates, H_sum
         yield Decided(decision)
-        if decision.path is None:
-            yield Ended(decision.stop or StopReason.PLAN_FLOWN)
+        if decision.stop is not None:
+            yield Ended(decision.stop)
             return
-        hit = first_collision(decision.path)
+        assert decision.path is not None
+        hit = first_collision(_with_transit(nav, decision.path))
         if hit is not None and not nav.scans:
-            raise GeometryError(_collision_message(hit))
+            raise GeometryError(collision_message(hit))
         if hit is not None:
             yield Ended(StopReason.OBSTACLE)
             return
@@ -94,7 +95,13 @@ def fly(
         yield Scanned(decision.path)
 
 
-def _collision_message(hit: Pose) -> str:
+def _with_transit(nav: Nav, path: ScanPath) -> ScanPath:
+    """A scan with the straight leg that leads to it."""
+    return path if nav.pose is None else ScanPath((nav.pose, *path.waypoints))
+
+
+def collision_message(hit: Pose) -> str:
+    """What to tell the user of a path that hits something."""
     x, y, z = (round(c, 2) for c in hit.position_m)
     return (
         f"the vehicle's path comes too near to the object or the seabed at ({x:g}, {y:g}, {z:g}) "

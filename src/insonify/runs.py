@@ -11,20 +11,29 @@ from typing import Any
 import numpy as np
 import psutil
 
-from insonify.errors import MemoryLimitError
+from insonify.errors import GeometryError, MemoryLimitError
 from insonify.evaluation import GroundTruth, ground_truth, score_map
 from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper, Mapper
 from insonify.mapping.fan import blocks_in_fan
 from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
-from insonify.mission import Decided, Ended, Mapped, Pinged, Scanned, Step, fly
-from insonify.planning.baselines import path_over_centre
+from insonify.mission import (
+    Decided,
+    Ended,
+    Mapped,
+    Pinged,
+    Scanned,
+    Step,
+    collision_message,
+    fly,
+)
+from insonify.planning.baselines import FixedPlan, path_over_centre
 from insonify.planning.decision import Decision, Planner, StopReason
 from insonify.planning.entropy import entropy_map
 from insonify.scenarios import Config, World
 from insonify.types import Float32, Ping, Pose, ScanPath
 
-BYTES_PER_AREA_VOXEL = 80
+BYTES_PER_AREA_VOXEL = 120
 """Working memory of planning and scoring, for each voxel of the designated area."""
 
 Metrics = dict[str, dict[str, dict[str, float]]]
@@ -59,6 +68,7 @@ class Run:
         mapper: The mapper, with its map.
         planner: Name of the planner.
         truth: Ground-truth voxels.
+        ahead: The scan that was decided last.
         paths: The scans flown; the last is cut short if the run was interrupted.
         snapshots: One for each decision after the first scan.
         keyframes: Some pings of each scan, for pictures.
@@ -72,6 +82,7 @@ class Run:
     mapper: Mapper
     planner: str
     truth: GroundTruth
+    ahead: ScanPath = ScanPath(())
     paths: list[ScanPath] = field(default_factory=list)
     snapshots: list[Snapshot] = field(default_factory=list)
     keyframes: list[tuple[int, Pose, Ping]] = field(default_factory=list)
@@ -143,6 +154,7 @@ def execute(
     _check_memory(world)
     mapper = BayesMapper(config.mapping)
     planner = planner or world.planner()
+    _check_plan(world, planner)
     truth = ground_truth(world.scene, world.body, config.mapping.voxel_m)
     rng = np.random.default_rng([config.seed, 2])
     run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds)
@@ -158,7 +170,7 @@ def execute(
         watch(run, step)
         if isinstance(step, Mapped) and should_stop():
             break
-    if run.pings and (not run.history or run.history[-1].pings < run.pings):
+    if not run.history or run.history[-1].pings < run.pings:
         run.history.append(_assess(run))
     return run
 
@@ -195,6 +207,8 @@ def _note(run: Run, step: Step) -> None:
     if isinstance(step, Decided):
         if run.paths:
             run.snapshots.append(_snapshot(run, step.decision))
+        if step.decision.path is not None:
+            run.ahead = step.decision.path
     elif isinstance(step, Pinged):
         _note_ping(run, step)
     elif isinstance(step, Scanned):
@@ -204,13 +218,12 @@ def _note(run: Run, step: Step) -> None:
 
 
 def _note_ping(run: Run, step: Pinged) -> None:
-    """Add a waypoint to the scan it belongs to; keep three pings of each scan."""
+    """Lengthen the scan being flown by a waypoint; keep three pings of each scan."""
     if not run.paths or len(run.paths) == len(run.history):
         run.paths.append(ScanPath(()))
-    flown = (*run.paths[-1].waypoints, step.pose)
-    run.paths[-1] = ScanPath(flown)
-    count = run.config.survey.waypoints
-    if len(flown) - 1 in {count // 4, count // 2, (3 * count) // 4}:
+    done, count = len(run.paths[-1].waypoints), len(run.ahead.waypoints)
+    run.paths[-1] = ScanPath(run.ahead.waypoints[: done + 1])
+    if done in {count // 4, count // 2, (3 * count) // 4}:
         run.keyframes.append((len(run.paths), step.pose, step.ping))
 
 
@@ -231,6 +244,16 @@ def _assess(run: Run) -> HistoryEntry:
     )
 
 
+def _check_plan(world: World, planner: Planner) -> None:
+    """Refuse a fixed plan that would run into something, before it is flown."""
+    if not isinstance(planner, FixedPlan):
+        return
+    poses = tuple(pose for path in planner.plan for pose in path.waypoints)
+    hit = world.scene.first_collision(ScanPath(poses), world.config.survey.clearance_m)
+    if hit is not None:
+        raise GeometryError(collision_message(hit))
+
+
 def _check_memory(world: World) -> None:
     """Refuse a voxel size whose map would not fit into free memory.
 
@@ -246,7 +269,7 @@ def _check_memory(world: World) -> None:
             swept.allocate(blocks_in_fan(transform, geometry, swept.block_m))
     area_m3 = math.prod(world.area.region.size_m)
     swept_m3 = swept.block_count * swept.block_m**3
-    weight = swept_m3 * BYTES_PER_VOXEL * 2 + area_m3 * BYTES_PER_AREA_VOXEL
+    weight = swept_m3 * BYTES_PER_VOXEL * 3 + area_m3 * BYTES_PER_AREA_VOXEL
     needed = weight / voxel_m**3
     free = psutil.virtual_memory().available
     if needed > 0.9 * free:
@@ -254,7 +277,8 @@ def _check_memory(world: World) -> None:
         digits = 1 - math.floor(math.log10(fits))
         fits = math.ceil(fits * 10**digits) / 10**digits
         raise MemoryLimitError(
-            f"voxels of {voxel_m:g} m would need about {needed / 1e9:.3g} GB and "
+            f"{world.config.object.mesh} is {max(world.body.box.size_m):.3g} m across: voxels of "
+            f"{voxel_m:g} m would need about {needed / 1e9:.3g} GB and "
             f"{free / 1e9:.3g} GB are free; voxels of {fits:g} m fit "
             f"(--set mapping.voxel_m={fits:g})"
         )

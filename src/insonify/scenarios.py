@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from insonify.errors import ConfigError, MeshError
+from insonify.frames import rotation_from_rpy
 from insonify.mapping.bayes import MappingSettings
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner
@@ -30,9 +31,11 @@ from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
 from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice, sonar_preset
 from insonify.sonar.formation import ImageSettings
-from insonify.sonar.sampling import SamplingSettings
+from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Box
 
+MOST_SEABED_CELLS = 16_000_000
+MOST_RAYS = 20_000_000
 PLANNERS = ("entropy", "uniform", "lawnmower")
 Table = dict[str, Any]
 
@@ -50,6 +53,11 @@ class ObjectSettings(_Settings):
     scale: float = Field(1.0, gt=0, le=1e6, description="factor to metres")
     x_m: float = Field(0.0, ge=-1e5, le=1e5)
     y_m: float = Field(0.0, ge=-1e5, le=1e5)
+    up: Literal["auto", "y", "z"] = Field(
+        "auto", description="the file's upward axis; auto: y for glTF and COLLADA's Y_UP, else z"
+    )
+    roll_deg: float = Field(0.0, ge=-360, le=360, description="turned about x, y, z in this order")
+    pitch_deg: float = Field(0.0, ge=-360, le=360)
     yaw_deg: float = Field(0.0, ge=-360, le=360)
     burial_m: float = Field(0.0, ge=0, le=100, description="depth of its base below the seabed")
     reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
@@ -59,7 +67,9 @@ class SeabedSettings(_Settings):
     """The seabed: smooth random relief, or a raster file."""
 
     raster: str = Field("", description="heights file (.npy, .tif, .png, .asc) instead of relief")
-    size_m: float = Field(80.0, gt=0, le=10000, description="edge of the procedural seabed")
+    size_m: float = Field(
+        80.0, gt=0, le=10000, description="edge of the procedural seabed, around the object"
+    )
     cell_m: float = Field(0.25, gt=0, le=100, description="grid spacing")
     depth_m: float = Field(20.0, ge=0, le=11000, description="mean depth; raster zero height")
     relief_m: float = Field(0.05, ge=0, le=100, description="standard deviation of height")
@@ -123,6 +133,11 @@ def scenario_config(name: str, layers: Iterable[Table] = ()) -> Config:
         raise ConfigError(f"there is no scenario named {name!r}{_did_you_mean(name, known)}")
     table: Table = {"scenario": name}
     for layer in (known[name]["config"], *layers):
+        if layer.get("scenario", name) != name:
+            raise ConfigError(
+                f"the settings are those of scenario {layer['scenario']!r}, not of {name!r}; name "
+                f"{layer['scenario']!r}, or take the line `scenario` out of the file"
+            )
         table = _overlay(table, layer)
     if isinstance(table.get("sonar"), str):
         table["sonar"] = sonar_preset(table["sonar"]).model_dump()
@@ -149,7 +164,7 @@ def read_config(path: Path) -> Table:
         if isinstance(inner, dict) and isinstance(inner.get(key), str):
             beside = path.parent / inner[key]
             if inner[key] and inner[key] not in PROCEDURAL_OBJECTS and beside.is_file():
-                inner[key] = str(beside)
+                inner[key] = str(beside.absolute())
     return table
 
 
@@ -235,6 +250,7 @@ class World:
         self.scene = Scene((self.body,), self.seabed, Material("seabed", config.seabed.reflectance))
         self.sonar = Sonar(config.sonar, config.sampling, config.image)
         self.area = self._designate_area()
+        self._check_area()
 
     def planner(self) -> Planner:
         """The planner that the config names."""
@@ -250,6 +266,14 @@ class World:
         if seabed.raster:
             path = Path(seabed.raster)
             return raster_seabed(path, cell_m=seabed.cell_m, depth_m=seabed.depth_m)
+        cells = (seabed.size_m / seabed.cell_m) ** 2
+        if cells > MOST_SEABED_CELLS:
+            least_m = seabed.size_m / math.sqrt(MOST_SEABED_CELLS)
+            raise ConfigError(
+                f"a seabed of {seabed.size_m:g} m in cells of {seabed.cell_m:g} m has "
+                f"{cells:.3g} cells, too many; cells of {least_m:.2g} m fit "
+                "(--set seabed.cell_m=...)"
+            )
         return procedural_seabed(
             np.random.default_rng([self.config.seed, 1]),
             size_m=seabed.size_m,
@@ -257,6 +281,7 @@ class World:
             relief_m=seabed.relief_m,
             correlation_m=seabed.correlation_m,
             cell_m=seabed.cell_m,
+            centre_m=(self.config.object.x_m, self.config.object.y_m),
         )
 
     def _place_object(self) -> Body:
@@ -265,7 +290,7 @@ class World:
         if settings.mesh in PROCEDURAL_OBJECTS:
             mesh = scaled(PROCEDURAL_OBJECTS[settings.mesh](), settings.scale)
         else:
-            mesh = load_mesh(Path(settings.mesh), settings.scale)
+            mesh = load_mesh(Path(settings.mesh), settings.scale, up=settings.up)
         if float(max(mesh.extents)) < self.config.mapping.voxel_m:
             raise MeshError(
                 f"{settings.mesh}: the object is {max(mesh.extents):.2g} m across, smaller than "
@@ -274,15 +299,22 @@ class World:
             )
         ground = self.seabed.height_at(np.array([settings.x_m]), np.array([settings.y_m]))
         base_z = float(ground[0]) - settings.burial_m
-        yaw = math.radians(settings.yaw_deg)
-        placed = place_mesh(mesh, settings.x_m, settings.y_m, base_z, yaw)
+        angles = (settings.roll_deg, settings.pitch_deg, settings.yaw_deg)
+        turn = rotation_from_rpy(*(math.radians(math.remainder(a, 360.0)) for a in angles))
+        placed = place_mesh(mesh, settings.x_m, settings.y_m, base_z, turn)
+        buried_z = self.seabed.height_at(placed.vertices[:, 0], placed.vertices[:, 1])
+        if (placed.vertices[:, 2] <= buried_z).all():
+            raise MeshError(
+                f"{settings.mesh}: all of the object lies below the seabed at a burial of "
+                f"{settings.burial_m:g} m; bury it less (--set object.burial_m=...)"
+            )
         return Body(Path(settings.mesh).stem, placed, Material("object", settings.reflectance))
 
     def _designate_area(self) -> SurveyArea:
         """The order given to the vehicle: a box around where the object is known to lie."""
         survey = self.config.survey
         low, high = self.body.box.low_m, self.body.box.high_m
-        level = -self.config.seabed.depth_m
+        level = float(self.seabed.heights_m.mean())
         margin = survey.margin_m
         region = Box(
             (low[0] - margin, low[1] - margin, level + survey.floor_m),
@@ -296,3 +328,44 @@ class World:
             overrun_m=survey.overrun_m,
             waypoints=survey.waypoints,
         )
+
+    def _check_area(self) -> None:
+        """Refuse orders that make no sense, before anything is flown.
+
+        Raises:
+            ConfigError: The area is empty, the vehicle would leave the water or the seabed, or the
+                sonar would need more rays than memory holds.
+        """
+        survey, area = self.config.survey, self.area
+        if area.region.low_m[2] >= area.region.high_m[2]:
+            raise ConfigError(
+                f"survey.floor_m ({survey.floor_m:g} m above the seabed) leaves nothing of the "
+                "designated area below its top; lower it"
+            )
+        if area.z_m >= 0.0:
+            raise ConfigError(
+                f"survey.altitude_m ({survey.altitude_m:g} m) puts the vehicle at {area.z_m:g} m, "
+                "above the water's surface; fly lower or make the seabed deeper (seabed.depth_m)"
+            )
+        heights = self.seabed.heights_m
+        reach_m = survey.approach_m + max(area.region.size_m[:2]) / 2
+        x, y, _ = area.region.centre_m
+        spare_m = min(
+            x - self.seabed.origin_m[0],
+            y - self.seabed.origin_m[1],
+            self.seabed.origin_m[0] + (heights.shape[1] - 1) * self.seabed.cell_m - x,
+            self.seabed.origin_m[1] + (heights.shape[0] - 1) * self.seabed.cell_m - y,
+        )
+        if spare_m < reach_m:
+            raise ConfigError(
+                f"the seabed ends {max(spare_m, 0.0):.3g} m from the object and scans begin "
+                f"{reach_m:.3g} m from it; take a larger one (seabed.size_m) or move the object"
+            )
+        rays = self.config.sonar.beams * math.prod(
+            even_samples(self.config.sonar.geometry, self.config.sampling)
+        )
+        if rays > MOST_RAYS:
+            raise ConfigError(
+                f"the sampling asks for {rays:.3g} rays a ping, more than {MOST_RAYS:g}; lower "
+                "sampling.across_beam or sampling.over_elevation (0 chooses)"
+            )

@@ -13,6 +13,9 @@ from insonify.errors import MapFileError, OutputError
 from insonify.io.folders import result_folder, unused_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
+from insonify.types import Box
+
+EVERYWHERE = Box((-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))
 
 
 def _random_map(seed: int, blocks: int = 5) -> VoxelMap:
@@ -53,7 +56,7 @@ def test_the_order_of_exploration_does_not_change_the_file(tmp_path: Path) -> No
 
 def test_point_cloud_reads_in_another_library(tmp_path: Path) -> None:
     voxels = _random_map(1)
-    save_point_cloud(voxels, tmp_path / "m.ply", 0.99)
+    save_point_cloud(voxels, tmp_path / "m.ply", 0.99, EVERYWHERE)
     cloud = trimesh.load(tmp_path / "m.ply")
     raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
     kept = (voxels.seen > 0) & ((voxels.log_odds > 0) | (np.abs(voxels.log_odds) < 0.23))
@@ -94,13 +97,13 @@ def test_damaged_maps_are_named(tmp_path: Path) -> None:
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
     target = tmp_path / "deep" / "out"
-    with pytest.raises(RuntimeError), result_folder(target) as scratch:
-        (scratch / "half").write_text("x")
+    with pytest.raises(RuntimeError), result_folder(target) as place:
+        (place.scratch / "half").write_text("x")
         raise RuntimeError
-    assert list((tmp_path / "deep").iterdir()) == []
-    with result_folder(target) as scratch:
+    assert list(tmp_path.iterdir()) == []
+    with result_folder(target) as place:
         assert not target.exists()
-        (scratch / "a").write_text("1")
+        (place.scratch / "a").write_text("1")
     assert [p.name for p in target.iterdir()] == ["a"]
     assert list((tmp_path / "deep").iterdir()) == [target]
 
@@ -112,10 +115,18 @@ def test_existing_results_are_safe_without_force_and_merged_with_it(tmp_path: Pa
     (target / "a").write_text("old")
     with pytest.raises(OutputError, match="--force"), result_folder(target):
         pass
-    with result_folder(target, force=True) as scratch:
-        (scratch / "a").write_text("new")
+    with result_folder(target, force=True) as place:
+        (place.scratch / "a").write_text("new")
     assert (target / "mine").read_text() == "precious"
     assert (target / "a").read_text() == "new"
+    (target / "b").mkdir()
+    with (
+        pytest.raises(OutputError, match="b is a folder"),
+        result_folder(target, force=True) as place,
+    ):
+        (place.scratch / "a").write_text("newer")
+        (place.scratch / "b").write_text("newer")
+    assert (target / "a").read_text() == "new", "half of the results were replaced"
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="not a folder"), result_folder(tmp_path / "file"):
         pass
@@ -123,8 +134,8 @@ def test_existing_results_are_safe_without_force_and_merged_with_it(tmp_path: Pa
 
 def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     target = tmp_path / "out"
-    with pytest.raises(OutputError, match="no space left"), result_folder(target) as scratch:
-        (scratch / "a").write_text("1")
+    with pytest.raises(OutputError, match="no space left"), result_folder(target) as place:
+        (place.scratch / "a").write_text("1")
         raise OSError(errno.ENOSPC, "No space left on device")
     assert list(tmp_path.iterdir()) == []
 
@@ -136,6 +147,34 @@ def test_a_place_that_cannot_be_written_is_known_at_once(tmp_path: Path) -> None
         result_folder(tmp_path / "file" / "out"),
     ):
         pytest.fail("work was done for nothing")
+
+
+def test_two_runs_into_one_folder_keep_both_results(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    with result_folder(target) as mine:
+        (mine.scratch / "a").write_text("mine")
+        with result_folder(target) as other:
+            (other.scratch / "a").write_text("other")
+    assert (target / "a").read_text() == "other"
+    assert (mine.target, (tmp_path / "out-2/a").read_text()) == (tmp_path / "out-2", "mine")
+
+
+def test_a_map_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
+    save_map(_random_map(2), tmp_path / "good.npz")
+    good = dict(np.load(tmp_path / "good.npz"))
+    twice = np.repeat(good["coords"][:1], len(good["coords"]), axis=0)
+    for change in (
+        {"coords": twice},
+        {"coords": good["coords"].astype(float)},
+        {"coords": good["coords"] + 2_000_000},
+        {"log_odds": good["log_odds"].astype(str)},
+        {"log_odds": good["log_odds"] * np.float32(1e9)},
+        {"seen": good["seen"] + 8},
+        {"coords": np.int32(3)},
+    ):
+        np.savez(tmp_path / "bad.npz", **(good | change))
+        with pytest.raises(MapFileError, match="damaged"):
+            load_map(tmp_path / "bad.npz")
 
 
 def test_unused_folder_counts_up(tmp_path: Path) -> None:

@@ -163,6 +163,36 @@ def test_equation_9_stops_when_no_candidate_is_worth_it() -> None:
         assert eager.next_scan(walled, NAV).path is not None
 
 
+def test_equation_9_goes_on_while_a_single_candidate_pays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import insonify.planning.active as active
+
+    def one_sees_much(poses: list[Pose], *_: object) -> np.ndarray:
+        bits = np.zeros(len(poses))
+        bits[7] = 1e9
+        return bits
+
+    monkeypatch.setattr(active, "entropy_in_view", one_sees_much)
+    decision = EntropyPlanner(AREA, GEOMETRY, EntropySettings()).next_scan(_map_with_doubt(), NAV)
+    assert decision.look is not None and decision.look.best == 7
+    assert decision.path is not None and decision.path.waypoints[0] == decision.look.candidates[7]
+
+
+def test_equation_6_stops_before_the_first_occupied_voxel() -> None:
+    pose = Pose(0, 0, 0)
+    axis = world_from_sonar(pose, GEOMETRY.mount)[:3, 0]
+    at = np.array([axis * r for r in (5.0, 6.0, 7.0)])
+    bits = np.array([1.0, 2.0, 4.0], np.float32)
+    assert entropy_in_view([pose], GEOMETRY, 0.1, at[1:2], at, bits)[0] == 1.0
+
+
+def test_a_first_scan_starts_before_the_region_along_its_heading() -> None:
+    area = SurveyArea(Box((-1.0, -5.0, 0.0), (1.0, 5.0, 3.0)), 5.0, math.pi / 2, 8.0, 2.0, 5)
+    start, end = (path_over_centre(area, area.heading_rad).waypoints[k] for k in (0, -1))
+    assert (start.x_m, start.y_m, end.y_m) == pytest.approx((0.0, -13.0, 2.0))
+
+
 def test_other_reasons_to_stop() -> None:
     planner = EntropyPlanner(AREA, GEOMETRY, EntropySettings(termination=0.0, max_scans=1))
     assert planner.next_scan(VoxelMap(0.25), NAV).stop is StopReason.NO_CLUSTER

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from insonify.errors import MeshError
+from insonify.frames import rotation_from_rpy
 from insonify.scene.meshes import load_mesh, place_mesh, scaled
 
 
@@ -69,7 +70,7 @@ def test_bad_meshes_are_named_in_one_sentence(
 def test_placing_turns_then_centres_and_stands_on_the_ground() -> None:
     box = trimesh.creation.box((4.0, 2.0, 1.0))
     box.apply_translation([7.0, 8.0, 9.0])
-    placed = place_mesh(box, 1.0, -1.0, -20.0, math.pi / 2)
+    placed = place_mesh(box, 1.0, -1.0, -20.0, rotation_from_rpy(0, 0, math.pi / 2))
     np.testing.assert_allclose(placed.bounds, [[0.0, -3.0, -20.0], [2.0, 1.0, -19.0]], atol=1e-9)
 
 
@@ -78,3 +79,33 @@ def test_scaling_drops_vertices_that_no_face_uses() -> None:
         [[0, 0, 0], [1, 0, 0], [0, 1, 0], [99, 99, 99]], [[0, 1, 2]], process=False
     )
     np.testing.assert_allclose(scaled(mesh, 2.0).extents, [2.0, 2.0, 0.0])
+
+
+def test_units_and_upward_axis_are_the_files_own(tmp_path: Path) -> None:
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    text = trimesh.exchange.dae.export_collada(box).decode()  # type: ignore[no-untyped-call]
+    inches = text.replace("<up_axis>", '<unit name="inch" meter="0.0254"/><up_axis>')
+    (tmp_path / "b.dae").write_text(inches)
+    np.testing.assert_allclose(load_mesh(tmp_path / "b.dae").extents, [0.0254, 0.0508, 0.0762])
+    box.export(tmp_path / "b.glb")
+    np.testing.assert_allclose(load_mesh(tmp_path / "b.glb", up="auto").extents, [1, 3, 2])
+    np.testing.assert_allclose(load_mesh(tmp_path / "b.glb", up="z").extents, [1, 2, 3])
+    box.export(tmp_path / "b.stl")
+    np.testing.assert_allclose(load_mesh(tmp_path / "b.stl", up="auto").extents, [1, 2, 3])
+
+
+def test_a_part_is_found_by_its_name(tmp_path: Path, real_mesh: Path) -> None:
+    parts = trimesh.Scene({"hull": trimesh.creation.box((4, 1, 1)), "mast": trimesh.creation.box()})
+    parts.export(tmp_path / "ship.glb")  # type: ignore[no-untyped-call]
+    np.testing.assert_allclose(load_mesh(tmp_path / "ship.glb", part="hull").extents, [4, 1, 1])
+    with pytest.raises(MeshError, match=r"no part named 'keel'.*hull, mast"):
+        load_mesh(tmp_path / "ship.glb", part="keel")
+    assert len(load_mesh(real_mesh, part="SunkenShip").faces) == 4171
+
+
+def test_a_triangle_without_its_corner_is_refused(tmp_path: Path) -> None:
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    header += "property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+    (tmp_path / "bad.ply").write_text(header + "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
+    with pytest.raises(MeshError, match=r"bad\.ply"):
+        load_mesh(tmp_path / "bad.ply")

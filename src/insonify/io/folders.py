@@ -2,33 +2,50 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from insonify.errors import OutputError
 
 
+@dataclass(slots=True)
+class ResultFolder:
+    """Where a result is written, and where it goes.
+
+    Attributes:
+        scratch: Write here.
+        target: The folder it becomes; after the block, the one it became.
+    """
+
+    scratch: Path
+    target: Path
+
+
 @contextmanager
-def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
+def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder]:
     """A scratch folder beside ``target`` that takes its name when the block ends well.
 
     It is made at once, so that a folder that cannot be written is known before any work is done.
     If the block raises, nothing is left behind.  A block that writes nothing leaves no folder.
     With ``force``, the new files replace those of the same name; others in the folder stay.
+    If another process has made ``target`` meanwhile, the result takes the next free name.
 
     Raises:
         OutputError: ``target`` exists and ``force`` is not given, or it cannot be written.
     """
-    if target.exists() and not (force and target.is_dir()):
+    if _stands(target) and not (force and target.is_dir()):
         kind = "already exists" if target.is_dir() else "is a file, not a folder"
         raise OutputError(
             f"{target}: {kind}; give another --out"
             + (", or --force to replace the results in it" if target.is_dir() else "")
         )
+    made = _missing_parents(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -36,36 +53,66 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
         raise OutputError(
             f"{target}: cannot be written ({_reason(err)}); give another --out"
         ) from err
+    place = ResultFolder(scratch, target)
     try:
-        yield scratch
-        _publish(scratch, target)
+        yield place
+        place.target = _publish(scratch, target, force)
     except OSError as err:
         raise OutputError(
             f"{target}: the results cannot be written ({_reason(err)}); nothing was kept"
         ) from err
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+        for folder in made:
+            with suppress(OSError):  # one that holds something stays
+                folder.rmdir()
+
+
+def _stands(target: Path) -> bool:
+    """Whether anything has this name, a link to nowhere included."""
+    try:
+        return os.path.lexists(target)
+    except OSError as err:
+        raise OutputError(
+            f"{target}: cannot be written ({_reason(err)}); give another --out"
+        ) from err
+
+
+def _missing_parents(target: Path) -> list[Path]:
+    """The parents of a path that do not exist yet, the deepest first."""
+    return [parent for parent in target.parents if not os.path.lexists(parent)]
 
 
 def unused_folder(wanted: Path) -> Path:
     """``wanted``, or the first of ``wanted-2``, ``wanted-3`` ... that does not exist."""
     folder, number = wanted, 1
-    while folder.exists():
+    while os.path.lexists(folder):
         number += 1
         folder = wanted.with_name(f"{wanted.name}-{number}")
     return folder
 
 
-def _publish(scratch: Path, target: Path) -> None:
+def _publish(scratch: Path, target: Path, force: bool) -> Path:
+    """Give a finished result its name; returns the one it got."""
     files = sorted(scratch.iterdir())
     if not files:
-        return
-    if not target.exists():
-        scratch.chmod(0o777 & ~_umask())
-        scratch.rename(target)
-        return
-    for file in files:
-        file.replace(target / file.name)
+        return target
+    if force and target.is_dir():
+        for file in files:
+            if (target / file.name).is_dir():
+                raise OSError(errno.EISDIR, f"{file.name} is a folder there")
+        for file in files:
+            file.replace(target / file.name)
+        return target
+    scratch.chmod(0o777 & ~_umask())
+    while True:
+        free = unused_folder(target)
+        try:
+            scratch.rename(free)
+            return free
+        except OSError:
+            if not os.path.lexists(free):
+                raise
 
 
 def _umask() -> int:

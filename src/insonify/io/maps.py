@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -10,8 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from insonify.errors import MapFileError
-from insonify.mapping.voxels import BLOCK, VOXELS_PER_BLOCK, VoxelMap, probability_from_log_odds
+from insonify.mapping.voxels import (
+    BLOCK,
+    FARTHEST_BLOCK,
+    IN_VIEW,
+    OBSERVED,
+    VOXELS_PER_BLOCK,
+    VoxelMap,
+    probability_from_log_odds,
+)
 from insonify.planning.entropy import binary_entropy
+from insonify.types import Box
 
 FORMAT = "insonify-map"
 VERSION = 1
@@ -27,6 +37,7 @@ _DAMAGE = (
     RuntimeError,
     SyntaxError,
     struct.error,
+    tokenize.TokenError,
     zlib.error,
     zipfile.BadZipFile,
 )
@@ -53,14 +64,15 @@ def save_map(voxels: VoxelMap, path: Path) -> None:
         )
 
 
-def load_map(path: Path) -> VoxelMap:
+def load_map(path: Path | str) -> VoxelMap:
     """Read a map written by `save_map`.
 
     Raises:
         MapFileError: The file is missing, is no such map, or is damaged.
     """
+    path = Path(path)
     if not path.is_file():
-        raise MapFileError(f"{path}: there is no such map; check the path")
+        raise MapFileError(f"{path}: there is no such map file; check the path")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if str(archive["format"]) != FORMAT or int(archive["version"]) != VERSION:
@@ -72,12 +84,20 @@ def load_map(path: Path) -> VoxelMap:
             coords, log_odds, seen = archive["coords"], archive["log_odds"], archive["seen"]
     except _DAMAGE as err:
         raise MapFileError(f"{path}: damaged, or not an insonify map ({err})") from err
+    kinds = (coords.dtype.kind, log_odds.dtype.kind, seen.dtype.kind)
+    if kinds != ("i", "f", "u") or coords.ndim != 2:
+        raise MapFileError(f"{path}: damaged, its arrays are of the wrong kind")
     blocks = len(coords)
     shapes = (coords.shape, log_odds.shape, seen.shape)
     if shapes != ((blocks, 3), (blocks, VOXELS_PER_BLOCK), (blocks, VOXELS_PER_BLOCK)):
         raise MapFileError(f"{path}: damaged, its arrays have shapes {shapes}")
     if not (np.isfinite(log_odds).all() and 0.0 < voxel_m < np.inf):
         raise MapFileError(f"{path}: damaged, it holds numbers that are not finite")
+    far = blocks and int(np.abs(coords.astype(np.int64)).max()) >= FARTHEST_BLOCK
+    if far or len(np.unique(coords, axis=0)) != blocks or (seen > (IN_VIEW | OBSERVED)).any():
+        raise MapFileError(f"{path}: damaged, its blocks make no sense")
+    if np.abs(log_odds).max(initial=0.0) > 100.0:
+        raise MapFileError(f"{path}: damaged, it holds log-odds beyond 100")
     voxels = VoxelMap(voxel_m)
     slots = voxels.allocate(coords.astype(np.int32))
     voxels.log_odds[slots] = log_odds
@@ -85,22 +105,30 @@ def load_map(path: Path) -> VoxelMap:
     return voxels
 
 
-def save_point_cloud(voxels: VoxelMap, path: Path, least_entropy: float) -> None:
+def save_point_cloud(voxels: VoxelMap, path: Path, least_entropy: float, region: Box) -> None:
     """Write a binary PLY point cloud of the voxels that are not known to be free.
 
-    Those are the voxels seen at least once that are occupied or undecided, with properties
+    Those are the occupied voxels, and in ``region`` those in view and undecided, with properties
     ``x, y, z`` (centre, metres), ``probability`` and ``entropy``, sorted by x, y, z.
 
     Args:
         voxels: The map.
         path: The file.
         least_entropy: Entropy from which a voxel counts as undecided.
+        region: Where undecided voxels are of interest.
     """
     entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
-    kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | (entropy >= least_entropy))
+    corner = voxels.coords * voxels.block_m
+    near = (corner + voxels.block_m > region.low_m) & (corner < region.high_m)
+    undecided = (entropy >= least_entropy) & near.all(axis=1)[:, None]
+    kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | undecided)
     slot, voxel = np.nonzero(kept)
     within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
     index = voxels.coords[slot] * BLOCK + within
+    centre = (index + 0.5) * voxels.voxel_m
+    inside = ((centre >= region.low_m) & (centre <= region.high_m)).all(axis=1)
+    inside |= voxels.log_odds[slot, voxel] > 0.0
+    slot, voxel, index = slot[inside], voxel[inside], index[inside]
     order = np.lexsort(index.T[::-1])
     names = ("x", "y", "z", "probability", "entropy")
     points = np.empty(len(index), [(name, "<f4") for name in names])

@@ -16,6 +16,7 @@ from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
 BLOCK = 8
 VOXELS_PER_BLOCK = BLOCK**3
 BYTES_PER_VOXEL = 5
+FARTHEST_BLOCK = 1_000_000
 IN_VIEW = 1
 OBSERVED = 2
 
@@ -46,11 +47,6 @@ class VoxelWindow:
         """Voxels more likely occupied than not."""
         occupied: Bool = self.log_odds > 0.0
         return occupied
-
-    def axis_centres_m(self, axis: int) -> Float64:
-        """World coordinates of the voxel centres along an axis."""
-        count = self.log_odds.shape[axis]
-        return (np.arange(count, dtype=np.float64) + (self.first[axis] + 0.5)) * self.voxel_m
 
     def centres_m(self, mask: Bool) -> Float64:
         """World coordinates (N, 3) of the centres of the masked voxels, in x, y, z order."""
@@ -143,14 +139,6 @@ class VoxelMap:
             target = tuple(map(slice, start - low, stop - low))
             log_odds[target] = self._log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
             seen[target] = self._seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
-
-    def bounds(self) -> Box:
-        """The box around all allocated blocks; empty at the origin for an empty map."""
-        if self.block_count == 0:
-            return Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        low = self.coords.min(axis=0) * self.block_m
-        high = (self.coords.max(axis=0) + 1) * self.block_m
-        return Box.of(low, high)
 
     def _reserve(self, blocks: int) -> None:
         capacity = len(self._coords)

@@ -26,7 +26,7 @@ def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
     return straight_path(start, end, area.waypoints)
 
 
-class _FixedPlan(ABC):
+class FixedPlan(ABC):
     """A number of scans known beforehand; the map is not looked at."""
 
     def __init__(self, area: SurveyArea, scans: int) -> None:
@@ -41,12 +41,17 @@ class _FixedPlan(ABC):
             return Decision(stop=StopReason.PLAN_FLOWN)
         return Decision(path=self._scan(done))
 
+    @property
+    def plan(self) -> tuple[ScanPath, ...]:
+        """All scans, in order."""
+        return tuple(self._scan(number) for number in range(self.scans))
+
     @abstractmethod
     def _scan(self, number: int) -> ScanPath:
         """Scan ``number``, counted from 0."""
 
 
-class UniformPlanner(_FixedPlan):
+class UniformPlanner(FixedPlan):
     """Uniform 360: straight scans over the centre, their headings dividing the circle equally."""
 
     name = "uniform"
@@ -56,7 +61,7 @@ class UniformPlanner(_FixedPlan):
         return path_over_centre(self.area, heading)
 
 
-class LawnmowerPlanner(_FixedPlan):
+class LawnmowerPlanner(FixedPlan):
     """Parallel tracks across the area, flown to and fro.
 
     Each track starts where the object is not yet in view and ends where all of it has passed

@@ -19,7 +19,7 @@ def standoff_radius(cluster: Cluster, z_m: float, geometry: FanGeometry) -> floa
 
     A tilted sonar sees a point below it only from some way off.  At the cluster's own radius r,
     which eq. 4 takes, it may look over its target; so the radius is at least
-    ``(z - z_c) / tan(tilt)``, and never so large that the centre is out of range.
+    ``(z - z_c) / tan(tilt)``, or as near to it as keeps the centre in range.
     """
     drop_m = max(0.0, z_m - cluster.centre_m[2])
     farthest = math.sqrt(max(0.0, (_REACH * geometry.range_max_m) ** 2 - drop_m**2))

@@ -79,6 +79,8 @@ class Decision:
     def __post_init__(self) -> None:
         if (self.path is None) == (self.stop is None):
             raise ValueError("a decision is either a path or a reason to stop")
+        if self.path is not None and not self.path.waypoints:
+            raise ValueError("a path needs a waypoint at least")
 
 
 class Planner(Protocol):

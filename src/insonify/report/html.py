@@ -74,7 +74,7 @@ def _scene_3d(run: Run) -> list[dict[str, Any]]:
         for name, filled, colour, opacity in kinds
     ]
     traces += [
-        _line(f"scan {number}", np.array([pose.position_m for pose in path.waypoints]))
+        _line(number, np.array([pose.position_m for pose in path.waypoints]))
         for number, path in enumerate(run.paths, 1)
     ]
     for snapshot in run.snapshots[-1:]:
@@ -104,9 +104,15 @@ def _cubes(
     )
 
 
-def _line(name: str, positions: Float64) -> dict[str, Any]:
+def _line(number: int, positions: Float64) -> dict[str, Any]:
     points = {axis: _packed(positions[:, i], "f4") for i, axis in enumerate("xyz")}
-    return points | {"type": "scatter3d", "mode": "lines", "name": name, "line": {"width": 5}}
+    return points | {
+        "type": "scatter3d",
+        "mode": "lines+text",
+        "name": f"scan {number}",
+        "text": [str(number)] + [""] * (len(positions) - 1),
+        "line": {"width": 5, "color": pictures.scan_colour(number)},
+    }
 
 
 def _dots(name: str, positions: Float64) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import ListedColormap
+from matplotlib.colors import ListedColormap, to_hex
 from matplotlib.figure import Figure
 
 from insonify.evaluation import GroundTruth
@@ -85,6 +85,11 @@ def draw_fan(ping: Ping, title: str) -> bytes:
     return _png(figure)
 
 
+def scan_colour(number: int) -> str:
+    """The colour of a scan, counted from 1, in every picture of it."""
+    return to_hex(f"C{(number - 1) % 10}")
+
+
 def draw_trajectory(run: Run) -> bytes:
     """The scans from above, numbered, over the object's outline (Fig. 5 and 6)."""
     figure = Figure(figsize=(7.2, 6.2))
@@ -94,7 +99,7 @@ def draw_trajectory(run: Run) -> bytes:
     for number, path in enumerate(run.paths, 1):
         x = [pose.x_m for pose in path.waypoints]
         y = [pose.y_m for pose in path.waypoints]
-        colour = f"C{(number - 1) % 10}"
+        colour = scan_colour(number)
         axes.plot(x, y, ".-", color=colour, ms=3, lw=1.2, label=f"scan {number}")
         axes.annotate(
             "",
@@ -216,10 +221,10 @@ def voxel_shell(filled: Bool, first_m: Float64, voxel_m: float) -> tuple[Float64
             quads = base[:, None, :] + np.stack(around)
             corners.append(quads.reshape(-1, 3))
             count += len(base)
-    vertices = np.concatenate(corners) * voxel_m + first_m
+    grid, which = np.unique(np.concatenate(corners).astype(np.int32), axis=0, return_inverse=True)
     square = np.array([[0, 1, 2], [0, 2, 3]])
     faces = (np.arange(count)[:, None, None] * 4 + square).reshape(-1, 3)
-    return vertices, faces
+    return grid * voxel_m + first_m, which.reshape(-1)[faces]
 
 
 def _draw_look(axes: Axes, look: Look) -> None:

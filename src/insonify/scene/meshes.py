@@ -17,12 +17,13 @@ MESH_SUFFIXES = (".obj", ".stl", ".ply", ".gltf", ".glb", ".dae")
 LARGEST_EXTENT_M = 1000.0
 
 
-def load_mesh(path: Path, scale: float = 1.0, part: str = "") -> trimesh.Trimesh:
+def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> trimesh.Trimesh:
     """Read a mesh file as one body, in metres, z up.
 
     Args:
         path: OBJ, STL, PLY, glTF/GLB or COLLADA file; parts of a scene are merged.
         scale: Factor to metres (0.001 for a mesh in millimetres).
+        up: The file's upward axis, "z" or "y"; "auto": y for glTF, and for COLLADA that says so.
         part: Only the node or mesh of this name, if it is given.
 
     Raises:
@@ -36,11 +37,21 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "") -> trimesh.Trimesh
     mesh = _read(path, part)
     if len(mesh.faces) == 0:
         raise MeshError(f"{path}: the mesh has no triangles; export it with its faces")
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(mesh.faces)]
+    faces = np.asarray(mesh.faces)
+    if faces.min() < 0 or faces.max() >= len(mesh.vertices):
+        raise MeshError(
+            f"{path}: a triangle names vertex {faces.max()} and there are {len(mesh.vertices)}; "
+            "export the mesh again"
+        )
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)[np.unique(faces)]
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         raise MeshError(f"{path}: {bad} vertices are not finite numbers; repair the mesh")
     mesh = scaled(mesh, scale)
+    if up == "y" or (up == "auto" and _says_y_up(path)):
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_from_rpy(math.pi / 2, 0.0, 0.0)
+        mesh.apply_transform(turn)
     extent_m = float(np.max(mesh.extents))
     if extent_m > LARGEST_EXTENT_M:
         raise MeshError(
@@ -59,6 +70,8 @@ def _read(path: Path, part: str) -> trimesh.Trimesh:
         raise
     except Exception as err:  # each of trimesh's readers raises errors of its own
         reason = str(err).strip().splitlines()[0] if str(err).strip() else type(err).__name__
+        if isinstance(err, ImportError | LookupError):
+            reason = "damaged, truncated, or a part of it is missing"
         raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
     wanted = _names_of_part(path, part) if part else set()
     to_metres = _collada_unit_m(path)
@@ -103,6 +116,14 @@ def _collada_unit_m(path: Path) -> float:
     return 1.0
 
 
+def _says_y_up(path: Path) -> bool:
+    """Whether a file's upward axis is y: always in glTF, in COLLADA by its own word."""
+    if path.suffix.lower() != ".dae":
+        return path.suffix.lower() in {".gltf", ".glb"}
+    axes = [e.text for e in ET.parse(path).getroot().iter() if e.tag.endswith("}up_axis")]
+    return any((axis or "").strip() == "Y_UP" for axis in axes)
+
+
 def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     """Meshes as one, with texture coordinates where all of them have some."""
     if not meshes:
@@ -130,13 +151,13 @@ def scaled(mesh: trimesh.Trimesh, scale: float) -> trimesh.Trimesh:
 
 
 def place_mesh(
-    mesh: trimesh.Trimesh, x_m: float, y_m: float, base_z_m: float, yaw_rad: float
+    mesh: trimesh.Trimesh, x_m: float, y_m: float, base_z_m: float, turn: Float64
 ) -> trimesh.Trimesh:
-    """A copy turned by ``yaw_rad``, its bounding box centred on (x, y) and standing on a height."""
+    """A copy turned by a rotation, its bounding box centred on (x, y) and standing on a height."""
     placed = mesh.copy()
-    turn = np.eye(4)
-    turn[:3, :3] = rotation_from_rpy(0.0, 0.0, math.remainder(yaw_rad, 2 * math.pi))
-    placed.apply_transform(turn)
+    transform = np.eye(4)
+    transform[:3, :3] = turn
+    placed.apply_transform(transform)
     low, high = placed.bounds
     middle = (low + high) / 2
     placed.apply_translation([x_m - middle[0], y_m - middle[1], base_z_m - low[2]])

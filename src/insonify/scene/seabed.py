@@ -64,16 +64,18 @@ def procedural_seabed(
     relief_m: float,
     correlation_m: float,
     cell_m: float,
+    centre_m: tuple[float, float] = (0.0, 0.0),
 ) -> Seabed:
     """A square of smooth random relief, level on average.
 
     Args:
         rng: Where the relief comes from.
-        size_m: Edge of the square, centred on the world's origin.
+        size_m: Edge of the square.
         depth_m: Mean depth; the mean height is ``-depth_m``.
         relief_m: Standard deviation of the height.
         correlation_m: Standard deviation of the Gaussian that smooths white noise into relief.
         cell_m: Grid spacing.
+        centre_m: World (x, y) of its centre.
     """
     count = max(2, round(size_m / cell_m) + 1)
     noise = ndimage.gaussian_filter(
@@ -83,7 +85,7 @@ def procedural_seabed(
     spread = float(noise.std())
     relief = noise * (relief_m / spread) if spread > 0.0 else noise * 0.0
     edge = -(count - 1) * cell_m / 2
-    return Seabed(relief - depth_m, cell_m, (edge, edge))
+    return Seabed(relief - depth_m, cell_m, (centre_m[0] + edge, centre_m[1] + edge))
 
 
 def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
@@ -108,7 +110,7 @@ def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
         raise MeshError(f"{path}: there is no such seabed raster; check the path")
     try:
         heights, cell_m = _read_raster(path, cell_m)
-    except (OSError, ValueError, KeyError, IndexError, EOFError, SyntaxError) as err:
+    except (OSError, ValueError, KeyError, IndexError, EOFError, SyntaxError, MemoryError) as err:
         raise MeshError(f"{path}: cannot be read as a seabed raster ({err})") from err
     if heights.ndim != 2 or min(heights.shape) < 2:
         raise MeshError(f"{path}: a seabed needs a grid of at least 2 x 2, not {heights.shape}")
@@ -123,14 +125,39 @@ def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
 def _read_raster(path: Path, cell_m: float) -> tuple[Float64, float]:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        return np.load(path, allow_pickle=False).astype(np.float64), cell_m
+        array = np.load(path, allow_pickle=False)
+        if array.dtype.kind not in "iuf":
+            raise ValueError(f"its values are {array.dtype}, not real numbers")
+        return array.astype(np.float64), cell_m
     if suffix == ".asc":
-        words = [line.split() for line in path.read_text().splitlines()[:6]]
-        header = {word[0].lower(): float(word[1]) for word in words if word[0].isidentifier()}
-        heights = np.loadtxt(path, skiprows=len(header), ndmin=2)
-        heights[heights == header.get("nodata_value", np.nan)] = np.nan
-        return heights, header["cellsize"]
+        return _read_asc(path)
     from PIL import Image
 
     with Image.open(path) as picture:
+        if picture.mode[0] not in "LIF1":
+            raise ValueError(f"its pixels are {picture.mode}, not grey heights")
         return np.asarray(picture, dtype=np.float64), cell_m
+
+
+def _read_asc(path: Path) -> tuple[Float64, float]:
+    """Heights and cell size of an ESRI ASCII grid."""
+    known = {"ncols", "nrows", "xllcorner", "yllcorner", "xllcenter", "yllcenter"}
+    known |= {"cellsize", "nodata_value"}
+    lines = path.read_text(encoding="utf-8").splitlines()
+    header: dict[str, float] = {}
+    for line in lines:
+        words = line.split()
+        if len(words) != 2 or words[0].lower() not in known:
+            break
+        header[words[0].lower()] = float(words[1])
+    missing = {"ncols", "nrows", "cellsize"} - set(header)
+    if missing:
+        raise ValueError(f"its header lacks {', '.join(sorted(missing))}")
+    if not 0.0 < header["cellsize"] < np.inf:
+        raise ValueError(f"its cellsize is {header['cellsize']:g}")
+    heights = np.array([[float(w) for w in line.split()] for line in lines[len(header) :] if line])
+    size = (int(header["nrows"]), int(header["ncols"]))
+    if heights.shape != size:
+        raise ValueError(f"it holds a grid of {heights.shape} and its header says {size}")
+    heights[heights == header.get("nodata_value", np.nan)] = np.nan
+    return heights, header["cellsize"]
