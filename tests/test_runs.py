@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from insonify.comparison import summarise
-from insonify.errors import MemoryLimitError
+from insonify.errors import GeometryError, MemoryLimitError
+from insonify.mapping.voxels import VoxelMap
+from insonify.planning.decision import Decision, StopReason
 from insonify.runs import execute
 from insonify.scenarios import scenario_config
+from insonify.types import Nav
 
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 8}}
 
@@ -51,3 +54,40 @@ def test_summary_is_mean_and_students_interval() -> None:
     assert figure["ci95"] == pytest.approx(
         4.3027 * np.std([0.5, 0.6, 0.8], ddof=1) / 3**0.5, rel=1e-4
     )
+
+
+def test_a_snapshot_holds_the_entropy_map_and_where_nothing_was_seen() -> None:
+    run = execute(scenario_config("wreck", [SMALL]))
+    bits = run.snapshots[0].entropy_bits
+    seen = np.isfinite(bits)
+    assert 0 < seen.sum() < seen.size
+    assert 0.0 <= bits[seen].min() < 1.0 < bits[seen].max()
+
+
+def test_the_noise_follows_the_seed() -> None:
+    """Not only the seabed's relief, which is flat here."""
+    flat = {"seabed": {"relief_m": 0.0}}
+    maps = [
+        execute(
+            scenario_config("tetrapod", [SMALL, flat, {"seed": s, "planner": "uniform"}])
+        ).mapper.voxels.log_odds.tobytes()
+        for s in (1, 2)
+    ]
+    assert maps[0] != maps[1]
+
+
+def test_a_planner_that_stops_at_once_is_scored_on_an_empty_map() -> None:
+    class Idle:
+        name = "idle"
+
+        def next_scan(self, voxels: VoxelMap, nav: Nav) -> Decision:
+            return Decision(stop=StopReason.PLAN_FLOWN)
+
+    result = execute(scenario_config("tetrapod", [SMALL]), Idle()).result()
+    assert (result["scans"], result["metrics"]["solid"]["exact"]["f1"]) == (0, 0.0)
+
+
+def test_a_fixed_plan_that_hits_the_object_is_refused_before_it_is_flown() -> None:
+    low = {"survey": {"altitude_m": 3.0}, "planner": "lawnmower"}
+    with pytest.raises(GeometryError, match="altitude_m"):
+        execute(scenario_config("tetrapod", [SMALL, low]))

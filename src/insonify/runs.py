@@ -52,7 +52,10 @@ class HistoryEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What a decision was made on: entropy summed over height, (nx, ny) bits, and the answer."""
+    """What a decision was made on: entropy summed over height, (nx, ny) bits, and the answer.
+
+    Not a number where no voxel has been in view.
+    """
 
     entropy_bits: Float32
     decision: Decision
@@ -229,8 +232,9 @@ def _note_ping(run: Run, step: Pinged) -> None:
 
 def _snapshot(run: Run, decision: Decision) -> Snapshot:
     window = run.mapper.voxels.window(run.world.area.region)
-    observed = np.where(window.seen > 0, entropy_map(window), 0.0)
-    return Snapshot(observed.sum(axis=2, dtype=np.float32), decision)
+    observed = np.where(window.seen > 0, entropy_map(window), 0.0).sum(axis=2, dtype=np.float32)
+    observed[~(window.seen > 0).any(axis=2)] = np.nan
+    return Snapshot(observed, decision)
 
 
 def _assess(run: Run) -> HistoryEntry:

@@ -79,6 +79,17 @@ def test_level_seabed_has_no_striping_and_the_cosine_of_incidence() -> None:
     assert (np.abs(np.diff(coverage[:-1])) < 0.03 * coverage[:-2]).all()
 
 
+@pytest.mark.parametrize(("tilt_deg", "altitude_m"), [(8.0, 1.0), (12.0, 1.5), (60.0, 5.0)])
+def test_seabed_at_any_grazing_angle_leaves_no_bin_empty(
+    tilt_deg: float, altitude_m: float
+) -> None:
+    device = SonarDevice(tilt_deg=tilt_deg, azimuth_fov_deg=60.0, range_max_m=20.0, bins=800)
+    histogram = _render(Scene((), FLOOR), device.geometry, Pose(0, 0, altitude_m))
+    for beam in range(device.beams):
+        filled = np.flatnonzero(histogram.coverage[:, beam] > 1e-7)
+        assert len(filled) == filled[-1] - filled[0] + 1
+
+
 def test_wall_is_one_bin_deep_at_its_range() -> None:
     geometry = SonarDevice(tilt_deg=0.0).geometry
     wall = _body(trimesh.creation.box((0.1, 200.0, 200.0)), (7.06, 0.0, 0.0))

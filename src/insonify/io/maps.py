@@ -119,8 +119,8 @@ def save_point_cloud(voxels: VoxelMap, path: Path, least_entropy: float, region:
     """
     entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
     corner = voxels.coords * voxels.block_m
-    near = (corner + voxels.block_m > region.low_m) & (corner < region.high_m)
-    undecided = (entropy >= least_entropy) & near.all(axis=1)[:, None]
+    near = np.logical_and(corner + voxels.block_m > region.low_m, corner < region.high_m)
+    undecided = (entropy >= least_entropy) & near.all(axis=1).reshape(-1, 1)
     kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | undecided)
     slot, voxel = np.nonzero(kept)
     within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))

@@ -133,8 +133,8 @@ def count_echoes(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
     bins, beams = image.shape
     counts = np.zeros((beams, bins + 1), np.int32)
     first = np.full(beams, bins, np.int32)
-    for cell in range(bins):
-        for beam in range(beams):
+    for beam in range(beams):  # the simulator's images lie beam by beam in memory
+        for cell in range(bins):
             occupied = image[cell, beam] > threshold
             counts[beam, cell + 1] = counts[beam, cell] + occupied
             if occupied and first[beam] == bins:

@@ -17,7 +17,7 @@ from insonify.runs import Run, Snapshot
 from insonify.types import Array, Bool, Float64, Ping
 
 TRUE_POSITIVE, FALSE_POSITIVE, MISS = "#2a9d57", "#d1495b", "#3066be"
-INK = "#1d2733"
+INK, UNSEEN = "#1d2733", "#aab4be"
 
 
 def fan_pixels(ping: Ping, width: int = 480) -> tuple[Array, tuple[float, float, float, float]]:
@@ -121,10 +121,12 @@ def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
     figure = Figure(figsize=(10.2, 5.0))
     axes, bars = figure.subplots(1, 2, width_ratios=(1.5, 1))
     low, high = run.world.area.region.low_m, run.world.area.region.high_m
+    x0, x1, y0, y1 = low[0], high[0], low[1], high[1]
+    axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color=UNSEEN, zorder=-1)
     picture = axes.imshow(
         snapshot.entropy_bits.T,
         origin="lower",
-        extent=(low[0], high[0], low[1], high[1]),
+        extent=(x0, x1, y0, y1),
         cmap="magma",
     )
     figure.colorbar(picture, ax=axes, label="entropy above each cell, bits", shrink=0.8)

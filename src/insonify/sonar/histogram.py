@@ -17,7 +17,7 @@ from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
 from insonify.types import FanGeometry, Float32, Int32, Int64, Pose
 
-LEAST_FACING = 0.1
+LEAST_FACING = 0.02
 """Cosine of incidence below which a patch's range extent is no longer extrapolated."""
 
 FULL_CELL = 0.1
