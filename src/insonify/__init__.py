@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from insonify.scenarios import World as World
     from insonify.scenarios import scenario_config as scenario_config
     from insonify.scene import Scene as Scene
+    from insonify.scene.worlds import load_scene as load_scene
     from insonify.sonar import Sonar as Sonar
     from insonify.types import Pose as Pose
 
@@ -35,6 +36,7 @@ _HOMES = {
     "VoxelMap": "insonify.mapping.voxels",
     "World": "insonify.scenarios",
     "execute": "insonify.runs",
+    "load_scene": "insonify.scene.worlds",
     "load_map": "insonify.io.maps",
     "save_map": "insonify.io.maps",
     "scenario_config": "insonify.scenarios",

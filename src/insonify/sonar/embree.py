@@ -17,12 +17,9 @@ from insonify.frames import directions_from_angles, world_from_sonar
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
 from insonify.scene.rays import Hits
-from insonify.sonar.histogram import LEAST_FACING, EchoHistogram, Response, Samples, gather
+from insonify.sonar.histogram import BEYOND, LEAST_FACING, EchoHistogram, Response, Samples, gather
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Bool, FanGeometry, Float32, Float64, Int32, Int64, Pose
-
-_BEYOND = 1.05
-"""Rays are cast a little beyond the range: patches there reach back into the last bins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +55,7 @@ class EmbreeRenderer:
         if self.sampling.refine > 1:
             rough = _rough(
                 hits.range_m, hits.normal, hits.body, grid.directions, grid.columns, grid.rows,
-                geometry.bin_m, _BEYOND * geometry.range_max_m,
+                geometry.bin_m, BEYOND * geometry.range_max_m,
             )  # fmt: skip
             whole = ~rough
             if rough.any():
@@ -100,7 +97,7 @@ class _View:
         """First hits within range, and the normals that shade them."""
         turn = self.transform[:3, :3].astype(np.float32)
         world = directions @ turn.T
-        hits = self.scene.cast(self.transform[:3, 3], world, _BEYOND * self.geometry.range_max_m)
+        hits = self.scene.cast(self.transform[:3, 3], world, BEYOND * self.geometry.range_max_m)
         shading = self.scene.shading_normals(hits, world)
         return Hits(hits.range_m, hits.normal @ turn, hits.body, hits.triangle, hits.uv), (
             shading @ turn

@@ -20,6 +20,9 @@ from insonify.types import FanGeometry, Float32, Int32, Int64, Pose
 LEAST_FACING = 0.02
 """Cosine of incidence below which a patch's range extent is no longer extrapolated."""
 
+BEYOND = 1.05
+"""Samples are taken a little beyond the range: patches there reach back into the last bins."""
+
 FULL_CELL = 0.1
 """A cell covered by less than this, over the number of bins, counts as partly empty."""
 
