@@ -29,6 +29,7 @@ class SonarDevice(BaseModel):
     bins: int = Field(513, ge=1, le=16384, description="range bins")
     range_min_m: float = Field(0.0, ge=0)
     range_max_m: float = Field(12.825, gt=0, le=1000)
+    frequency_khz: float = Field(1800.0, gt=1, le=10000, description="for the physical model")
     tilt_deg: float = Field(30.0, ge=-90, le=90, description="mounted looking down by this angle")
 
     @model_validator(mode="after")
