@@ -19,7 +19,7 @@ from insonify.frames import directions_from_angles, world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.planning.active import EntropyPlanner
 from insonify.planning.baselines import path_over_centre
-from insonify.planning.clusters import dbscan
+from insonify.planning.dbscan import dbscan
 from insonify.planning.gain import entropy_in_view
 from insonify.scenarios import World, scenario_config
 from insonify.types import Float64, Nav, Ping, Pose

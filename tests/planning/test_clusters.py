@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.cluster import DBSCAN
 
-from insonify.planning.clusters import dbscan, largest_cluster
+from insonify.planning.clusters import largest_cluster
+from insonify.planning.dbscan import dbscan
 
 
 @settings(max_examples=150, deadline=None)
