@@ -139,6 +139,7 @@ def test_printed_config_is_taken_back(tmp_path: Path) -> None:
         (["scan", "tetrapod", "--config", "none.toml"], ["none.toml"]),
         (["scan", "tetrapod", "--out", "taken"], ["taken", "--force"]),
         (["scan", "tetrapod", "--out", "file/below"], ["cannot be written"]),
+        (["scan", "tetrapod", "--out", "new/" + 300 * "x"], ["cannot be written", "too long"]),
         (["scan", "tetrapod", "--seed", "x"], ["seed"]),
         (["compare", "tetrapod", "nonesuch"], ["nonesuch"]),
         (["compare", "tetrapod", "--seeds", "0"], ["seeds"]),
@@ -155,6 +156,14 @@ def test_bad_input_is_one_sentence_and_exit_code_2(
     _refused(_run(*arguments, cwd=tmp_path), *words)
     left = {p.name for p in tmp_path.rglob("*")} - {"insonify-runs"}
     assert left == {"taken", "mine", "file"}
+
+
+def test_a_warning_is_a_sentence_too(tmp_path: Path) -> None:
+    coarse = ["--set", "sampling.over_elevation=8", "--planner", "uniform"]
+    done = _run("scan", "tetrapod", *QUICK, *coarse, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "insonify: warning: sampling.over_elevation=8 is too coarse" in done.stderr
+    assert ".py" not in done.stderr
 
 
 def test_force_replaces_results_and_nothing_else(tmp_path: Path) -> None:

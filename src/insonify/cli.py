@@ -10,11 +10,12 @@ import json
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
@@ -55,9 +56,22 @@ def _interrupt(signum: int, frame: object) -> None:
     raise _Interrupted
 
 
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning as a message for the user, without the line of code that gave it."""
+    print(f"insonify: warning: {message}", file=sys.stderr)
+
+
 def main() -> None:
     """Run the command line; bad input is one sentence and exit code 2."""
     signal.signal(signal.SIGINT, _interrupt)
+    warnings.showwarning = _show_warning
     try:
         app()
     except InsonifyError as err:
@@ -120,8 +134,7 @@ def scan(
     with result_folder(folder, force=force) as place, _interruptible() as interrupted:
         with _progress() as watch:
             run = execute(full, watch=watch, should_stop=interrupted)
-        if run.pings or not interrupted():
-            _write_results(run, place.scratch)
+        _write_results(run, place.scratch)
     result = run.result()
     if as_json:
         print(json.dumps(result, indent=2))
@@ -146,7 +159,7 @@ def compare(
     from insonify.comparison import summarise
 
     with _interruptible() as interrupted, _progress() as watch:
-        layers = [*_layers(config, None), *_compared(settings)]
+        layers = [*_file_layers(config), *_compared(settings)]
         rows = compare_planners(names, seeds, layers, watch=watch, should_stop=interrupted)
     table = summarise(rows)
     if not rows:
@@ -219,7 +232,7 @@ def _choices(**given: Any) -> Table:
 
 def _compared(settings: list[str] | None) -> list[Table]:
     """Single settings of a comparison, which chooses planners and seeds itself."""
-    layers = _layers(None, settings)
+    layers = _single_layers(settings)
     for layer in layers:
         for key in ("planner", "seed"):
             if key in layer:
@@ -236,11 +249,16 @@ def _mesh_table(mesh: Path | None) -> Table | None:
     return {"mesh": str(mesh.absolute())}
 
 
-def _layers(config: Path | None, settings: list[str] | None) -> list[Table]:
-    from insonify.scenarios import parse_setting, read_config
+def _file_layers(config: Path | None) -> list[Table]:
+    from insonify.scenarios import read_config
 
-    layers = [read_config(config)] if config else []
-    return layers + [parse_setting(text) for text in settings or []]
+    return [read_config(config)] if config else []
+
+
+def _single_layers(settings: list[str] | None) -> list[Table]:
+    from insonify.scenarios import parse_setting
+
+    return [parse_setting(text) for text in settings or []]
 
 
 def _configure(
@@ -249,7 +267,7 @@ def _configure(
     """The config of a command: scenario, then file, then options, then single settings."""
     from insonify.scenarios import scenario_config
 
-    from_file, single = _layers(config, None), _layers(None, settings)
+    from_file, single = _file_layers(config), _single_layers(settings)
     if scenario is None:
         if not from_file or "scenario" not in from_file[0]:
             raise ConfigError("name a scenario (see `insonify scenarios`), or give a --config")

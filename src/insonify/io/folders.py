@@ -39,17 +39,18 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
     Raises:
         OutputError: ``target`` exists and ``force`` is not given, or it cannot be written.
     """
-    if _stands(target) and not (force and target.is_dir()):
+    if os.path.lexists(target) and not (force and target.is_dir()):  # a link to nowhere counts
         kind = "already exists" if target.is_dir() else "is a file, not a folder"
         raise OutputError(
             f"{target}: {kind}; give another --out"
             + (", or --force to replace the results in it" if target.is_dir() else "")
         )
-    made = _missing_parents(target)
+    made = [parent for parent in target.parents if not os.path.lexists(parent)]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     except OSError as err:
+        _remove_empty(made)
         raise OutputError(
             f"{target}: cannot be written ({_reason(err)}); give another --out"
         ) from err
@@ -63,24 +64,14 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
         ) from err
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-        for folder in made:
-            with suppress(OSError):  # one that holds something stays
-                folder.rmdir()
+        _remove_empty(made)
 
 
-def _stands(target: Path) -> bool:
-    """Whether anything has this name, a link to nowhere included."""
-    try:
-        return os.path.lexists(target)
-    except OSError as err:
-        raise OutputError(
-            f"{target}: cannot be written ({_reason(err)}); give another --out"
-        ) from err
-
-
-def _missing_parents(target: Path) -> list[Path]:
-    """The parents of a path that do not exist yet, the deepest first."""
-    return [parent for parent in target.parents if not os.path.lexists(parent)]
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove those of some folders, the deepest first, that hold nothing."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def unused_folder(wanted: Path) -> Path:

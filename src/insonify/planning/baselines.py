@@ -64,8 +64,8 @@ class UniformPlanner(FixedPlan):
 class LawnmowerPlanner(FixedPlan):
     """Parallel tracks across the area, flown to and fro.
 
-    Each track starts where the object is not yet in view and ends where all of it has passed
-    through the fan; the tracks divide the area's width equally, from one side to the other.
+    Each track starts where the object is not yet in view and ends beyond the area's centre, as the
+    first scan does; the tracks divide the area's width equally, from one side to the other.
     """
 
     name = "lawnmower"

@@ -34,7 +34,7 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
         raise MeshError(f"{path}: a mesh file ends in {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise MeshError(f"{path}: there is no such mesh file; check the path")
-    mesh = _read(path, part)
+    mesh, y_up = _read(path, part)
     if len(mesh.faces) == 0:
         raise MeshError(f"{path}: the mesh has no triangles; export it with its faces")
     faces = np.asarray(mesh.faces)
@@ -48,7 +48,7 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         raise MeshError(f"{path}: {bad} vertices are not finite numbers; repair the mesh")
     mesh = scaled(mesh, scale)
-    if up == "y" or (up == "auto" and _says_y_up(path)):
+    if up == "y" or (up == "auto" and y_up):
         turn = np.eye(4)
         turn[:3, :3] = rotation_from_rpy(math.pi / 2, 0.0, 0.0)
         mesh.apply_transform(turn)
@@ -63,9 +63,12 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
     return mesh
 
 
-def _read(path: Path, part: str) -> trimesh.Trimesh:
+def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, bool]:
+    """A file's mesh, or one part of it, in the file's axes, and whether its upward axis is y."""
+    suffix = path.suffix.lower()
     try:
         loaded = trimesh.load_scene(path, process=False)
+        collada = list(ET.parse(path).getroot().iter()) if suffix == ".dae" else []
     except MemoryError:
         raise
     except Exception as err:  # each of trimesh's readers raises errors of its own
@@ -73,8 +76,9 @@ def _read(path: Path, part: str) -> trimesh.Trimesh:
         if isinstance(err, ImportError | LookupError):
             reason = "damaged, truncated, or a part of it is missing"
         raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
-    wanted = _names_of_part(path, part) if part else set()
-    to_metres = _collada_unit_m(path)
+    wanted = {part} | _meshes_of_node(collada, part)
+    to_metres = _unit_m(collada, path)
+    y_up = suffix in {".gltf", ".glb"} or "Y_UP" in _texts(collada, "up_axis")
     meshes = []
     for node in loaded.graph.nodes_geometry:
         transform, name = loaded.graph[node]
@@ -86,28 +90,23 @@ def _read(path: Path, part: str) -> trimesh.Trimesh:
     if part and not meshes:
         names = ", ".join(sorted(loaded.geometry)) or "none"
         raise MeshError(f"{path}: it has no part named {part!r}; its parts: {names}")
-    return _joined(meshes)
+    return _joined(meshes), y_up
 
 
-def _names_of_part(path: Path, part: str) -> set[str]:
-    """The names by which trimesh may know a part: for COLLADA, the meshes of the node so named."""
-    names = {part}
-    if path.suffix.lower() == ".dae":
-        for node in ET.parse(path).getroot().iter():
-            if node.tag.endswith("}node") and part in {node.get("name"), node.get("id")}:
-                names |= {
-                    child.get("url", "").lstrip("#")
-                    for child in node.iter()
-                    if child.tag.endswith("}instance_geometry")
-                }
-    return names
+def _meshes_of_node(collada: list[ET.Element], name: str) -> set[str]:
+    """The meshes of the node of a name in a COLLADA file: trimesh knows a part by its mesh only."""
+    return {
+        child.get("url", "").lstrip("#")
+        for node in collada
+        if node.tag.endswith("}node") and name in {node.get("name"), node.get("id")}
+        for child in node.iter()
+        if child.tag.endswith("}instance_geometry")
+    }
 
 
-def _collada_unit_m(path: Path) -> float:
+def _unit_m(collada: list[ET.Element], path: Path) -> float:
     """Metres in a COLLADA file's unit; 1 for other kinds, which name none."""
-    if path.suffix.lower() != ".dae":
-        return 1.0
-    for element in ET.parse(path).getroot().iter():
+    for element in collada:
         if element.tag.endswith("}unit"):
             try:
                 return float(element.get("meter", "1"))
@@ -116,12 +115,8 @@ def _collada_unit_m(path: Path) -> float:
     return 1.0
 
 
-def _says_y_up(path: Path) -> bool:
-    """Whether a file's upward axis is y: always in glTF, in COLLADA by its own word."""
-    if path.suffix.lower() != ".dae":
-        return path.suffix.lower() in {".gltf", ".glb"}
-    axes = [e.text for e in ET.parse(path).getroot().iter() if e.tag.endswith("}up_axis")]
-    return any((axis or "").strip() == "Y_UP" for axis in axes)
+def _texts(collada: list[ET.Element], tag: str) -> set[str]:
+    return {(e.text or "").strip() for e in collada if e.tag.endswith(f"}}{tag}")}
 
 
 def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
