@@ -215,7 +215,9 @@ main()
 
 def test_ctrl_c_before_the_first_ping_leaves_nothing(tmp_path: Path) -> None:
     code = "import signal; signal.raise_signal(signal.SIGINT)"
-    program = f"import insonify.cli as c; c._configure = lambda *a: exec({code!r}); c.main()"
+    program = (
+        f"from insonify.cli import main, scans\nscans.configure = lambda *a: exec({code!r})\nmain()"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program, "scan", "tetrapod", "--out", "out"],
         cwd=tmp_path,

@@ -98,10 +98,14 @@ class FanGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ping:
-    """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean."""
+    """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean.
+
+    ``time_s`` is when its sound was sent.
+    """
 
     image: Float32
     geometry: FanGeometry
+    time_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,107 +1,37 @@
-"""The command ``insonify``: subcommands, and the one place where errors become messages.
-
-Heavy imports wait until a command needs them, so that ``insonify --help`` is quick.
-"""
+"""Scanning and comparing planners."""
 
 from __future__ import annotations
 
-import errno
 import json
-import signal
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from insonify.errors import ConfigError, InsonifyError
+from insonify.cli.root import (
+    EXIT_INTERRUPTED,
+    ConfigOption,
+    JsonOption,
+    SetOption,
+    app,
+    choices,
+    configure,
+    file_layers,
+    interruptible,
+    single_layers,
+    stderr,
+)
+from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from insonify.mission import Step
     from insonify.runs import Run
-    from insonify.scenarios import Config, Table
-
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
-
-app = typer.Typer(
-    help="Simulate imaging sonar, map with it, and decide where to scan next.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
-
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a scenario; see: scenarios")]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
-]
-ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="TOML file of settings, as printed by: config")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-
-
-class _Interrupted(BaseException):
-    """Ctrl-C; not a KeyboardInterrupt, which typer would turn into exit code 1."""
-
-
-def _interrupt(signum: int, frame: object) -> None:
-    raise _Interrupted
-
-
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """A warning as a message for the user, without the line of code that gave it."""
-    print(f"insonify: warning: {message}", file=sys.stderr)
-
-
-def main() -> None:
-    """Run the command line; bad input is one sentence and exit code 2."""
-    signal.signal(signal.SIGINT, _interrupt)
-    warnings.showwarning = _show_warning
-    try:
-        app()
-    except InsonifyError as err:
-        print(f"insonify: {err}", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
-    except _Interrupted:
-        print("insonify: interrupted; nothing was written", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
-    except OSError as err:
-        if err.errno != errno.ENOSPC:
-            raise
-        print("insonify: the output cannot be written: no space left", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
-
-
-def _version(wanted: bool) -> None:
-    if wanted:
-        from insonify import __version__
-
-        print(f"insonify {__version__}")
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
-    ] = False,
-) -> None:
-    pass
+    from insonify.scenarios import Table
 
 
 @app.command()
@@ -127,11 +57,11 @@ def scan(
     from insonify.io.folders import result_folder, unused_folder
     from insonify.runs import execute
 
-    chosen = _choices(planner=planner, seed=seed, sonar=sonar, object=_mesh_table(object_))
-    full = _configure(scenario, config, settings, chosen)
+    chosen = choices(planner=planner, seed=seed, sonar=sonar, object=_mesh_table(object_))
+    full = configure(scenario, config, settings, chosen)
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
-    with result_folder(folder, force=force) as place, _interruptible() as interrupted:
+    with result_folder(folder, force=force) as place, interruptible() as interrupted:
         with _progress() as watch:
             run = execute(full, watch=watch, should_stop=interrupted)
         _write_results(run, place.scratch)
@@ -158,8 +88,8 @@ def compare(
     from insonify.comparison import compare as compare_planners
     from insonify.comparison import summarise
 
-    with _interruptible() as interrupted, _progress() as watch:
-        layers = [*_file_layers(config), *_compared(settings)]
+    with interruptible() as interrupted, _progress() as watch:
+        layers = [*file_layers(config), *_compared(settings)]
         rows = compare_planners(names, seeds, layers, watch=watch, should_stop=interrupted)
     table = summarise(rows)
     if not rows:
@@ -174,65 +104,9 @@ def compare(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-@app.command()
-def scenarios(as_json: JsonOption = False) -> None:
-    """List the named scenarios."""
-    from insonify.scenarios import scenarios as known
-
-    rows = [{"name": name, "title": table["title"]} for name, table in known().items()]
-    if as_json:
-        print(json.dumps(rows, indent=2))
-    else:
-        _print_listing(["name", "what it is"], [[row["name"], row["title"]] for row in rows])
-
-
-@app.command()
-def sonars(as_json: JsonOption = False) -> None:
-    """List the sonars known by name."""
-    from insonify.sonar.devices import sonar_presets
-
-    rows = [{"name": name, **table} for name, table in sonar_presets().items()]
-    if as_json:
-        print(json.dumps(rows, indent=2))
-        return
-    cells = [
-        [
-            row["name"],
-            f"{row['azimuth_fov_deg']:g} x {row['elevation_fov_deg']:g}",
-            f"{row['beams']} x {row['bins']}",
-            f"{row['range_min_m']:g}-{row['range_max_m']:g}",
-            row["source"],
-        ]
-        for row in rows
-    ]
-    _print_listing(["name", "fan, deg", "beams x bins", "range, m", "source"], cells)
-
-
-@app.command("config")
-def show_config(
-    scenario: ScenarioArgument,
-    settings: SetOption = None,
-    config: ConfigOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Print the full config of a scenario; scan --config takes it back."""
-    from insonify.io.configs import config_to_toml
-
-    full = _configure(scenario, config, settings, {})
-    if as_json:
-        print(json.dumps(full.model_dump(mode="json"), indent=2))
-    else:
-        print(config_to_toml(full), end="")
-
-
-def _choices(**given: Any) -> Table:
-    """The options that were given, as a layer of settings."""
-    return {key: value for key, value in given.items() if value is not None}
-
-
 def _compared(settings: list[str] | None) -> list[Table]:
     """Single settings of a comparison, which chooses planners and seeds itself."""
-    layers = _single_layers(settings)
+    layers = single_layers(settings)
     for layer in layers:
         for key in ("planner", "seed"):
             if key in layer:
@@ -247,32 +121,6 @@ def _mesh_table(mesh: Path | None) -> Table | None:
     if not mesh.name:
         raise ConfigError(f"--object takes a mesh file, not {str(mesh)!r}")
     return {"mesh": str(mesh.absolute())}
-
-
-def _file_layers(config: Path | None) -> list[Table]:
-    from insonify.scenarios import read_config
-
-    return [read_config(config)] if config else []
-
-
-def _single_layers(settings: list[str] | None) -> list[Table]:
-    from insonify.scenarios import parse_setting
-
-    return [parse_setting(text) for text in settings or []]
-
-
-def _configure(
-    scenario: str | None, config: Path | None, settings: list[str] | None, chosen: Table
-) -> Config:
-    """The config of a command: scenario, then file, then options, then single settings."""
-    from insonify.scenarios import scenario_config
-
-    from_file, single = _file_layers(config), _single_layers(settings)
-    if scenario is None:
-        if not from_file or "scenario" not in from_file[0]:
-            raise ConfigError("name a scenario (see `insonify scenarios`), or give a --config")
-        scenario = str(from_file[0]["scenario"])
-    return scenario_config(scenario, [*from_file, chosen, *single])
 
 
 def _write_results(run: Run, folder: Path) -> None:
@@ -291,26 +139,6 @@ def _write_results(run: Run, folder: Path) -> None:
 
 
 @contextmanager
-def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a question that the run asks; the second stops at once."""
-    asked = False
-
-    def ask(signum: int, frame: object) -> None:
-        nonlocal asked
-        if asked:
-            raise _Interrupted
-        asked = True
-        text = "insonify: finishing with what is complete; Ctrl-C again discards it"
-        print(text, file=sys.stderr)
-
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield lambda: asked
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
 def _progress() -> Iterator[Callable[[Run, Step], None]]:
     """A progress bar on stderr, fed by the steps of one run after another."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -318,7 +146,7 @@ def _progress() -> Iterator[Callable[[Run, Step], None]]:
     from insonify.mission import Decided, Mapped
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"))
-    console = _stderr()
+    console = stderr()
     shown = console.is_terminal
     with Progress(
         *columns, TimeElapsedColumn(), console=console, transient=True, disable=not shown
@@ -338,12 +166,6 @@ def _progress() -> Iterator[Callable[[Run, Step], None]]:
                 bar.update(task, completed=done, speed=f"{rate:.0f} pings/s")
 
         yield watch
-
-
-def _stderr() -> Console:
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 def _print_result(result: dict[str, Any]) -> None:
@@ -399,16 +221,3 @@ def _print_comparison(table: dict[str, Any]) -> None:
             view.add_row(label, *(cell for figure in figures for cell in (figure, "")))
         console.print(view)
     console.print("Mean over the seeds ± half of its 95 % confidence interval.")
-
-
-def _print_listing(head: list[str], rows: list[list[str]]) -> None:
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    table = RichTable()
-    for number, title in enumerate(head):
-        last = number == len(head) - 1
-        table.add_column(title, no_wrap=not last, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)

@@ -1,0 +1,78 @@
+"""The command ``insonify``: subcommands, and the one place where errors become messages.
+
+Heavy imports wait until a command needs them, so that ``insonify --help`` is quick.
+"""
+
+from __future__ import annotations
+
+import errno
+import signal
+import sys
+import warnings
+from typing import Annotated, TextIO
+
+import typer
+
+from insonify.cli.root import EXIT_BAD_INPUT, EXIT_INTERRUPTED, Interrupted, app
+from insonify.errors import InsonifyError
+
+# isort: off
+# --help lists the commands in this order
+from insonify.cli import scans
+from insonify.cli import listings
+
+# isort: on
+
+__all__ = ["app", "listings", "main", "scans"]
+
+
+def _interrupt(signum: int, frame: object) -> None:
+    raise Interrupted
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """A warning as a message for the user, without the line of code that gave it."""
+    print(f"insonify: warning: {message}", file=sys.stderr)
+
+
+def main() -> None:
+    """Run the command line; bad input is one sentence and exit code 2."""
+    signal.signal(signal.SIGINT, _interrupt)
+    warnings.showwarning = _show_warning
+    try:
+        app()
+    except InsonifyError as err:
+        print(f"insonify: {err}", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+    except Interrupted:
+        print("insonify: interrupted; nothing was written", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
+    except OSError as err:
+        if err.errno != errno.ENOSPC:
+            raise
+        print("insonify: the output cannot be written: no space left", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from insonify import __version__
+
+        print(f"insonify {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,116 @@
+"""What every subcommand shares: the app, its options, its messages, Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from insonify.errors import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from insonify.scenarios import Config, Table
+
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    help="Simulate imaging sonar, map with it, and decide where to scan next.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+ScenarioArgument = Annotated[str, typer.Argument(help="Name of a scenario; see: scenarios")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option("--config", help="TOML file of settings, as printed by: config")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+
+
+class Interrupted(BaseException):
+    """Ctrl-C; not a KeyboardInterrupt, which typer would turn into exit code 1."""
+
+
+def choices(**given: Any) -> Table:
+    """The options that were given, as a layer of settings."""
+    return {key: value for key, value in given.items() if value is not None}
+
+
+def file_layers(config: Path | None) -> list[Table]:
+    """The settings of a config file, if one is given."""
+    from insonify.scenarios import read_config
+
+    return [read_config(config)] if config else []
+
+
+def single_layers(settings: list[str] | None) -> list[Table]:
+    """The settings given one by one, each a layer."""
+    from insonify.scenarios import parse_setting
+
+    return [parse_setting(text) for text in settings or []]
+
+
+def configure(
+    scenario: str | None, config: Path | None, settings: list[str] | None, chosen: Table
+) -> Config:
+    """The config of a command: scenario, then file, then options, then single settings."""
+    from insonify.scenarios import scenario_config
+
+    from_file, single = file_layers(config), single_layers(settings)
+    if scenario is None:
+        if not from_file or "scenario" not in from_file[0]:
+            raise ConfigError("name a scenario (see `insonify scenarios`), or give a --config")
+        scenario = str(from_file[0]["scenario"])
+    return scenario_config(scenario, [*from_file, chosen, *single])
+
+
+@contextmanager
+def interruptible() -> Iterator[Callable[[], bool]]:
+    """Turn the first Ctrl-C into a question that the run asks; the second stops at once."""
+    asked = False
+
+    def ask(signum: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise Interrupted
+        asked = True
+        text = "insonify: finishing with what is complete; Ctrl-C again discards it"
+        print(text, file=sys.stderr)
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def stderr() -> Console:
+    """Where messages and progress go."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def print_listing(head: list[str], rows: list[list[str]]) -> None:
+    """A table of text on stdout."""
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    table = RichTable()
+    for number, title in enumerate(head):
+        last = number == len(head) - 1
+        table.add_column(title, no_wrap=not last, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
