@@ -35,5 +35,9 @@ class MapFileError(InsonifyError):
     """A map file is missing, corrupt or of another version."""
 
 
+class RecordingError(InsonifyError):
+    """A ping, recording or path file is missing, corrupt or of another version."""
+
+
 class RendererError(InsonifyError):
     """A renderer cannot be had here, or cannot do what is asked."""

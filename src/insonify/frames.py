@@ -7,10 +7,14 @@ positive up.  A sonar tilted down is pitched about the body's left axis.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from insonify.types import Float64, Pose
+from insonify.errors import GeometryError
+from insonify.types import Float64, Pose, Trajectory
 
 
 def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Float64:
@@ -55,6 +59,42 @@ def compose(outer: Pose, inner: Pose) -> Pose:
 def world_from_sonar(pose: Pose, mount: Pose) -> Float64:
     """``world_from_body @ body_from_sonar``, (4, 4), of a sonar mounted on a body."""
     return transform_from_pose(pose) @ transform_from_pose(mount)
+
+
+def pose_from_quaternion(position_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
+    """A pose from a position and a quaternion, which need not be of unit length.
+
+    Raises:
+        GeometryError: A number is not finite, or the quaternion is zero.
+    """
+    quaternion = np.asarray(xyzw, np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(quaternion).all() and length > 1e-9):
+        raise GeometryError(f"{tuple(xyzw)} is no quaternion: check the order and the columns")
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
+    transform[:3, 3] = position_m
+    return pose_from_transform(transform)
+
+
+def pose_at(trajectory: Trajectory, time_s: float) -> Pose:
+    """The pose at a time: positions straight, rotations by the shortest turn between two poses.
+
+    Before the first and after the last time the body rests where it is then.
+    """
+    times_s, poses = trajectory.times_s, trajectory.poses
+    after = bisect_right(times_s, time_s)
+    if after == 0:
+        return poses[0]
+    if after == len(times_s) or time_s == times_s[after - 1]:
+        return poses[after - 1]
+    first, second = poses[after - 1], poses[after]
+    part = (time_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1])
+    start, end = transform_from_pose(first), transform_from_pose(second)
+    turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
+    start[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(part * turn).as_matrix()
+    start[:3, 3] += part * (end[:3, 3] - start[:3, 3])
+    return pose_from_transform(start)
 
 
 def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
