@@ -35,5 +35,9 @@ class MapFileError(InsonifyError):
     """A map file is missing, corrupt or of another version."""
 
 
+class RecordingError(InsonifyError):
+    """A recording is missing, unreadable, or lacks what a map needs."""
+
+
 class RendererError(InsonifyError):
     """A renderer cannot be had here, or cannot do what is asked."""

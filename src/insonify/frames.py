@@ -63,3 +63,48 @@ def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Floa
     return np.stack(
         [flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1
     )
+
+
+def quaternion_from_rotation(rotation: Float64) -> Float64:
+    """Unit quaternion (x, y, z, w), (4,), of a rotation matrix, with w not negative.
+
+    The largest of the four is found first, so that no small number divides (Shepperd 1978).
+    """
+    r = rotation
+    trace = float(np.trace(r))
+    squares = np.array([*(1.0 + 2.0 * np.diag(r) - trace), 1.0 + trace]) / 4.0
+    largest = int(np.argmax(squares))
+    products = np.array(
+        [
+            [squares[0], (r[0, 1] + r[1, 0]) / 4, (r[0, 2] + r[2, 0]) / 4, (r[2, 1] - r[1, 2]) / 4],
+            [(r[0, 1] + r[1, 0]) / 4, squares[1], (r[1, 2] + r[2, 1]) / 4, (r[0, 2] - r[2, 0]) / 4],
+            [(r[0, 2] + r[2, 0]) / 4, (r[1, 2] + r[2, 1]) / 4, squares[2], (r[1, 0] - r[0, 1]) / 4],
+            [(r[2, 1] - r[1, 2]) / 4, (r[0, 2] - r[2, 0]) / 4, (r[1, 0] - r[0, 1]) / 4, squares[3]],
+        ]
+    )[largest]
+    quaternion: Float64 = products / np.linalg.norm(products)
+    return -quaternion if quaternion[3] < 0.0 else quaternion
+
+
+def rotation_from_quaternion(quaternion: Float64) -> Float64:
+    """Rotation matrix, (3, 3), of a quaternion (x, y, z, w) of any length but 0."""
+    x, y, z, w = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def slerp(start: Float64, end: Float64, share: float) -> Float64:
+    """The quaternion at ``share`` (0 to 1) of the shorter turn between two unit quaternions."""
+    cosine = float(start @ end)
+    if cosine < 0.0:  # the same rotation, the other way round
+        end, cosine = -end, -cosine
+    angle = math.acos(min(1.0, cosine))
+    if angle < 1e-9:
+        return start
+    blend: Float64 = math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end
+    return blend / math.sin(angle)

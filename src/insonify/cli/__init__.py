@@ -19,11 +19,12 @@ from insonify.errors import InsonifyError
 # isort: off
 # --help lists the commands in this order
 from insonify.cli import scans
+from insonify.cli import recordings
 from insonify.cli import listings
 
 # isort: on
 
-__all__ = ["app", "listings", "main", "scans"]
+__all__ = ["app", "listings", "main", "recordings", "scans"]
 
 
 def _interrupt(signum: int, frame: object) -> None:

@@ -25,7 +25,7 @@ from insonify.types import Box
 
 FORMAT = "insonify-map"
 VERSION = 1
-_DAMAGE = (
+DAMAGE = (
     OSError,
     ValueError,
     KeyError,
@@ -82,7 +82,7 @@ def load_map(path: Path | str) -> VoxelMap:
                 )
             voxel_m = float(archive["voxel_m"])
             coords, log_odds, seen = archive["coords"], archive["log_odds"], archive["seen"]
-    except _DAMAGE as err:
+    except DAMAGE as err:
         raise MapFileError(f"{path}: damaged, or not an insonify map ({err})") from err
     kinds = (coords.dtype.kind, log_odds.dtype.kind, seen.dtype.kind)
     if kinds != ("i", "f", "u") or coords.ndim != 2:

@@ -6,9 +6,10 @@ import math
 import tomllib
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from insonify.errors import ConfigError
 from insonify.types import FanGeometry, Pose
@@ -73,3 +74,32 @@ def sonar_preset(name: str) -> SonarDevice:
         raise ConfigError(f"there is no sonar named {name!r}; choose one of {known}")
     fields = {key: value for key, value in presets[name].items() if key != "source"}
     return SonarDevice(name=name, **fields)
+
+
+def read_device(path: Path) -> SonarDevice:
+    """A device described in a TOML file of its own.
+
+    Raises:
+        ConfigError: The file is missing, not TOML, or a figure is unknown or out of range.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise ConfigError(f"{path}: there is no such sonar file; check the path") from err
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
+    try:
+        return SonarDevice.model_validate({"name": path.stem, **table})
+    except ValidationError as err:
+        first = err.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the description"
+        raise ConfigError(f"{path}: {key}: {first['msg'].lower()}; see `insonify sonars`") from err
+
+
+def named_device(name: str) -> SonarDevice:
+    """A preset, or the device described in a TOML file if the name ends in ``.toml``.
+
+    Raises:
+        ConfigError: There is no such preset or file.
+    """
+    return read_device(Path(name)) if name.endswith(".toml") else sonar_preset(name)
