@@ -27,6 +27,7 @@ LAYERS = [
     "runs",
     "comparison",
     "io",
+    "replay",
     "report",
     "cli",
     "__main__",

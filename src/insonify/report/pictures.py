@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, to_hex
 from matplotlib.figure import Figure
 
 from insonify.evaluation import GroundTruth
 from insonify.planning.decision import Look, SurveyArea
+from insonify.report.figures import png as _png
 from insonify.runs import Run, Snapshot
 from insonify.types import Array, Bool, Float64, Ping
 
@@ -290,10 +289,3 @@ def _ticks(range_m: float) -> Float64:
             step /= divisor
             break
     return np.arange(step, range_m, step)
-
-
-def _png(figure: Figure) -> bytes:
-    FigureCanvasAgg(figure)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
-    return stream.getvalue()

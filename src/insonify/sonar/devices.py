@@ -103,3 +103,24 @@ def named_device(name: str) -> SonarDevice:
         ConfigError: There is no such preset or file.
     """
     return read_device(Path(name)) if name.endswith(".toml") else sonar_preset(name)
+
+
+def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
+    """The device whose fan has this geometry, as far as a device tells it: of its mount the tilt.
+
+    Raises:
+        ConfigError: No forward-looking sonar has such a fan.
+    """
+    try:
+        return SonarDevice(
+            name=name,
+            azimuth_fov_deg=math.degrees(geometry.azimuth_fov_rad),
+            elevation_fov_deg=math.degrees(geometry.elevation_fov_rad),
+            beams=geometry.beams,
+            bins=geometry.bins,
+            range_min_m=geometry.range_min_m,
+            range_max_m=geometry.range_max_m,
+            tilt_deg=math.degrees(geometry.tilt_rad),
+        )
+    except ValidationError as err:
+        raise ConfigError(f"{name}: no forward-looking sonar has this fan ({geometry})") from err
