@@ -51,6 +51,8 @@ def test_scan_writes_everything_and_the_config_runs_again(tmp_path: Path) -> Non
         "map.npz",
         "map.ply",
         "report.html",
+        "recording.mcap",
+        "foxglove.json",
     }
     result = json.loads(first.stdout)
     assert result == json.loads((tmp_path / "a/result.json").read_text())
@@ -69,7 +71,7 @@ def test_scan_writes_everything_and_the_config_runs_again(tmp_path: Path) -> Non
     assert again.returncode == 0, again.stderr
     repeated = json.loads(again.stdout)
     assert repeated | {"seconds": 0} == result | {"seconds": 0}
-    for name in ("map.npz", "map.ply", "config.toml"):
+    for name in ("map.npz", "map.ply", "config.toml", "recording.mcap"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 

@@ -13,7 +13,10 @@ from insonify.frames import (
     compose,
     directions_from_angles,
     pose_from_transform,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
     rotation_from_rpy,
+    slerp,
     transform_from_pose,
     world_from_sonar,
 )
@@ -76,3 +79,20 @@ def test_beams_run_from_port_to_starboard() -> None:
     assert geometry.bin_m == pytest.approx(0.025)
     assert geometry.bin_ranges_m[0] == pytest.approx(0.0125)
     assert geometry.bin_ranges_m[-1] == pytest.approx(12.825 - 0.0125)
+
+
+@given(angle, angle, angle)
+def test_quaternions_are_scipys(roll: float, pitch: float, yaw: float) -> None:
+    rotation = rotation_from_rpy(roll, pitch, yaw)
+    ours = quaternion_from_rotation(rotation)
+    theirs = Rotation.from_matrix(rotation).as_quat()
+    assert abs(float(ours @ theirs)) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(rotation_from_quaternion(3.0 * ours), rotation, atol=1e-12)
+
+
+def test_slerp_takes_the_shorter_way() -> None:
+    start, end = (Rotation.from_euler("z", a, degrees=True).as_quat() for a in (-10, 30))
+    for sign in (1.0, -1.0):
+        middle = rotation_from_quaternion(slerp(start, sign * end, 0.25))
+        np.testing.assert_allclose(middle, rotation_from_rpy(0, 0, 0), atol=1e-12)
+    np.testing.assert_array_equal(slerp(start, start, 0.5), start)

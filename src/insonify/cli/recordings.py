@@ -278,7 +278,11 @@ def _rows(summary: dict[str, Any]) -> list[list[str]]:
     rows.append(["poses", f"{summary['poses']} of {summary['pings']} pings{path}"])
     says = {key: value for key, value in summary["says"].items() if key != "elevation_assumed"}
     says["source of poses"] = says.pop("poses")
-    rows += [[key.replace("_", " "), value] for key, value in says.items()]
+    for key, value in says.items():
+        if isinstance(value, dict):
+            rows += [[key, ""], *([f"  {name}", number] for name, number in value.items())]
+        else:
+            rows.append([key.replace("_", " "), value])
     return [[str(key), str(value)] for key, value in rows]
 
 

@@ -55,6 +55,7 @@ def scan(
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
     from insonify.io.folders import result_folder, unused_folder
+    from insonify.io.recordings.scans import recording
     from insonify.runs import execute
 
     chosen = choices(planner=planner, seed=seed, sonar=sonar, object=_mesh_table(object_))
@@ -62,8 +63,8 @@ def scan(
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        with _progress() as watch:
-            run = execute(full, watch=watch, should_stop=interrupted)
+        with _progress() as show, recording(place.scratch) as record:
+            run = execute(full, watch=_both(show, record), should_stop=interrupted)
         _write_results(run, place.scratch)
     result = run.result()
     if as_json:
@@ -136,6 +137,18 @@ def _write_results(run: Run, folder: Path) -> None:
     region = run.world.area.region
     save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy, region)
     write_report(run, folder / "report.html")
+
+
+def _both(
+    first: Callable[[Run, Step], None], second: Callable[[Run, Step], None]
+) -> Callable[[Run, Step], None]:
+    """Two consumers of a run's steps as one."""
+
+    def watch(run: Run, step: Step) -> None:
+        first(run, step)
+        second(run, step)
+
+    return watch
 
 
 @contextmanager
