@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from insonify.cli import app
 from insonify.errors import InsonifyError
-from insonify.io.maps import load_map
+from insonify.io.maps import load_map, save_map
+from insonify.mapping.voxels import VoxelMap
 from insonify.sonar.devices import read_device
 
 
@@ -35,6 +36,7 @@ def folder(tmp_path: Path, rng: np.random.Generator) -> Path:
     images = np.where(rng.random((4, 30, 12)) > 0.97, 255, 0).astype(np.uint8)
     samples.image_folder(tmp_path / "images", images, samples.tum_rows(4))
     (tmp_path / "text").write_text("nothing")
+    save_map(VoxelMap(0.2), tmp_path / "map.npz")
     return tmp_path
 
 
@@ -62,6 +64,12 @@ def test_map_writes_everything(folder: Path) -> None:
     assert result == json.loads((folder / "m/result.json").read_text())
     assert load_map(folder / "m/map.npz").voxel_m == 0.2
     assert read_device(folder / "m/sonar.toml").tilt_deg == pytest.approx(15.0)
+    pose = ["--from", "0 0 0 90", "--datum", "60 10", "--set", "entropy.termination=0"]
+    planned = _run("plan", "m", *pose, "--out", "p", "--json", cwd=folder)
+    assert planned.returncode == 0, planned.stderr
+    document = json.loads(planned.stdout)
+    assert document["stop"] is None
+    assert set(document["files"]) < {p.name for p in (folder / "p").iterdir()}
 
 
 @pytest.mark.parametrize(
@@ -74,6 +82,11 @@ def test_map_writes_everything(folder: Path) -> None:
         (["map", "images", "--out", "m", "--region", "1 2 3"], ["--region", "1 2 3"]),
         (["map", "images", "--out", "m", "--set", "sonar.beams=2"], ["mapping.KEY", "sonar"]),
         (["map", "images", "--out", "m", "--voxel", "0"], ["voxel_m"]),
+        (["plan", "none", "--from", "0 0 0 0"], ["none", "no such map"]),
+        (["plan", "text", "--from", "0 0 0 0"], ["text", "insonify map"]),
+        (["plan", "map.npz", "--from", "0 0 0"], ["--from", "'0 0 0'"]),
+        (["plan", "map.npz", "--from", "0 0 0 0", "--datum", "1"], ["--datum", "'1'"]),
+        (["plan", "map.npz", "--from", "0 0 0 0"], ["--sonar"]),
     ],
 )
 def test_bad_input_is_one_sentence(

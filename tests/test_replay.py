@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 
 from insonify.errors import GeometryError, MemoryLimitError, RecordingError
+from insonify.io.maps import load_map, save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
 from insonify.io.recordings.recording import RecordedPing, Recording, RecordingWarning
 from insonify.mapping.bayes import BayesMapper, MappingSettings
-from insonify.replay import map_recordings
+from insonify.mapping.voxels import VoxelMap
+from insonify.replay import clearance_m, map_recordings, plan_next
 from insonify.report.map_html import write_map_report
-from insonify.types import Box, FanGeometry, Ping, Pose
+from insonify.runs import execute
+from insonify.scenarios import scenario_config
+from insonify.types import Box, FanGeometry, Ping, Pose, ScanPath
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "recordings"
 FAN = FanGeometry(math.radians(40.0), math.radians(10.0), 8, 16, 0.2, 2.0)
@@ -96,3 +100,30 @@ def test_the_turtle_stands_out() -> None:
     # along the elevation it is smeared over the arc of 12 degrees and the baseline, no more
     y = np.flatnonzero(window.occupied.any(axis=(0, 2))) * 0.02
     assert 0.6 < np.ptp(y) < 1.1
+
+
+def test_the_next_scan_from_a_saved_map_is_the_missions_own(tmp_path: Path) -> None:
+    coarse = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 6}}
+    run = execute(scenario_config("tetrapod", [coarse, {"entropy": {"max_scans": 2}}]))
+    first = execute(scenario_config("tetrapod", [coarse, {"entropy": {"max_scans": 1}}]))
+    save_map(first.mapper.voxels, tmp_path / "map.npz")
+    area, config = run.world.area, run.config
+    decision = plan_next(
+        load_map(tmp_path / "map.npz"),
+        config.sonar.geometry,
+        area.region,
+        Pose(5.0, 5.0, area.z_m),
+        config.entropy,
+        config.survey.waypoints,
+    )
+    assert decision.path == run.paths[1]
+
+
+def test_clearance_is_to_the_nearest_occupied_voxel() -> None:
+    voxels = VoxelMap(1.0)
+    slots = voxels.allocate(np.array([[0, 0, 0]], np.int32))
+    voxels.log_odds[slots[0], 0] = 1.0  # centred at (0.5, 0.5, 0.5)
+    path = ScanPath((Pose(-5.0, 4.5, 0.5), Pose(5.0, 4.5, 0.5)))
+    distance = clearance_m(voxels, Pose(-5.0, 9.0, 0.5), path)
+    assert distance == pytest.approx(4.0 - math.sqrt(3.0) / 2)
+    assert clearance_m(VoxelMap(1.0), Pose(0, 0, 0), path) == math.inf

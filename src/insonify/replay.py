@@ -1,4 +1,4 @@
-"""A map from recordings: the mapper fed with recorded pings instead of simulated ones."""
+"""A map from recordings, and where to scan next: the method on pings that others recorded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,10 @@ from insonify.io.recordings.recording import RecordedPing, Recording, RecordingW
 from insonify.io.recordings.summary import describe_fan
 from insonify.mapping.bayes import BayesMapper, MappingSettings
 from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK, VoxelMap
+from insonify.planning.active import EntropyPlanner, EntropySettings
+from insonify.planning.decision import Decision, SurveyArea
 from insonify.planning.entropy import entropy_map
-from insonify.types import Box, FanGeometry, Pose
+from insonify.types import Box, FanGeometry, Nav, Pose, ScanPath
 
 KEPT_PINGS = 6
 MOST_REGION_VOXELS = 150_000_000
@@ -54,7 +57,7 @@ class Replay:
     def result(self) -> dict[str, Any]:
         """The map as one JSON-ready row."""
         window = self.mapper.voxels.window(self.region)
-        legs = zip(self.poses, self.poses[1:], strict=False)
+        legs = pairwise(self.poses)
         return {
             "recordings": self.sources,
             "pings": len(self.poses),
@@ -100,7 +103,7 @@ def map_recordings(
         _map_one(replay, recording, watch, should_stop)
         if should_stop():
             break
-    replay.region = region or _around_occupied(replay.mapper.voxels)
+    replay.region = region or around_occupied(replay.mapper.voxels)
     voxels = math.prod(size / settings.voxel_m for size in replay.region.size_m)
     if voxels > MOST_REGION_VOXELS:
         size = " x ".join(f"{edge:.3g}" for edge in replay.region.size_m)
@@ -180,10 +183,47 @@ def _check_memory(replay: Replay, geometry: FanGeometry) -> None:
         )
 
 
-def _around_occupied(voxels: VoxelMap) -> Box:
+def around_occupied(voxels: VoxelMap) -> Box:
     """The occupied voxels and a block around them; all of the map if none is occupied."""
     occupied = voxels.occupied_m()
     if len(occupied):
         return Box.of(occupied.min(axis=0), occupied.max(axis=0)).grown(voxels.block_m)
     low, high = voxels.coords.min(axis=0), voxels.coords.max(axis=0) + 1
     return Box.of(low * voxels.block_m, high * voxels.block_m)
+
+
+def plan_next(
+    voxels: VoxelMap,
+    geometry: FanGeometry,
+    region: Box,
+    pose: Pose,
+    settings: EntropySettings,
+    waypoints: int,
+) -> Decision:
+    """What the entropy planner would scan next, at the vehicle's height.
+
+    Args:
+        voxels: What is known.
+        geometry: The sonar that will scan.
+        region: Where uncertainty counts.
+        pose: Where the vehicle is.
+        settings: The planner's.
+        waypoints: Pings of the scan.
+    """
+    area = SurveyArea(region, pose.z_m, pose.yaw_rad, 0.0, 0.0, waypoints)
+    nav = Nav(pose, (ScanPath((pose,)),))  # the map's own scans: the first has been flown
+    return EntropyPlanner(area, geometry, settings).next_scan(voxels, nav)
+
+
+def clearance_m(voxels: VoxelMap, pose: Pose, path: ScanPath) -> float:
+    """Least distance of the way to a path, and of the path, to the surface of an occupied voxel."""
+    occupied = voxels.occupied_m()
+    nearest = math.inf
+    corners = [pose.position_m, path.waypoints[0].position_m, path.waypoints[-1].position_m]
+    for start, end in pairwise(np.array(corners)):
+        along = end - start
+        square = max(float(along @ along), 1e-12)
+        share = np.clip((occupied - start) @ along / square, 0.0, 1.0)
+        away = np.linalg.norm(occupied - start - share[:, None] * along, axis=1)
+        nearest = min(nearest, float(away.min(initial=math.inf)))
+    return max(0.0, nearest - voxels.voxel_m * math.sqrt(3.0) / 2)

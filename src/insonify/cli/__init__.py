@@ -20,11 +20,12 @@ from insonify.errors import InsonifyError
 # --help lists the commands in this order
 from insonify.cli import scans
 from insonify.cli import recordings
+from insonify.cli import plans
 from insonify.cli import listings
 
 # isort: on
 
-__all__ = ["app", "listings", "main", "recordings", "scans"]
+__all__ = ["app", "listings", "main", "plans", "recordings", "scans"]
 
 
 def _interrupt(signum: int, frame: object) -> None:

@@ -113,7 +113,7 @@ def map_(
     from insonify.replay import map_recordings
 
     mapping = _mapping(voxel, settings)
-    box = _box(region) if region is not None else None
+    box = box_from_text(region) if region is not None else None
     reading = _reading(sonar, poses, clock_offset, sonar_topic, pose_topic)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
@@ -155,7 +155,12 @@ def _mapping(voxel_m: float, settings: list[str] | None) -> MappingSettings:
         ) from err
 
 
-def _box(text: str) -> Box:
+def box_from_text(text: str) -> Box:
+    """The box of a --region.
+
+    Raises:
+        GeometryError: It is not six numbers, the low corner first.
+    """
     from insonify.types import Box
 
     try:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import MapFileError
+from insonify.errors import MapFileError, reason
 from insonify.mapping.voxels import (
     BLOCK,
     FARTHEST_BLOCK,
@@ -83,7 +83,7 @@ def load_map(path: Path | str) -> VoxelMap:
             voxel_m = float(archive["voxel_m"])
             coords, log_odds, seen = archive["coords"], archive["log_odds"], archive["seen"]
     except DAMAGE as err:
-        raise MapFileError(f"{path}: damaged, or not an insonify map ({err})") from err
+        raise MapFileError(f"{path}: damaged, or not an insonify map ({reason(err)})") from err
     kinds = (coords.dtype.kind, log_odds.dtype.kind, seen.dtype.kind)
     if kinds != ("i", "f", "u") or coords.ndim != 2:
         raise MapFileError(f"{path}: damaged, its arrays are of the wrong kind")

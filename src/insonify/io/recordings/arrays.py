@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
 from insonify.io.maps import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
@@ -39,7 +39,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
             archive = np.load(file, allow_pickle=False)
             arrays = {name: archive[name] for name in archive.files if name in _KNOWN}
     except DAMAGE as err:
-        raise RecordingError(f"{path}: damaged, or not a NumPy archive ({err})") from err
+        raise RecordingError(f"{path}: damaged, or not a NumPy archive ({reason(err)})") from err
     images = _images(path, arrays)
     geometry = _geometry(path, arrays, images, reading)
     times = _times(path, arrays, len(images))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform
 from insonify.io.recordings.bag_pings import PingDecoder, sonar_shape
 from insonify.io.recordings.bags import DAMAGE, Bag, BagMessage
@@ -75,7 +75,7 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
             try:
                 yield _recorded(message, decoder, index, poses, reading)
             except DAMAGE as err:
-                broken, why = broken + 1, str(err) or type(err).__name__
+                broken, why = broken + 1, reason(err)
         if broken:
             warnings.warn(
                 f"{bag.path}: {broken} messages of {topic} are no pings and left out ({why})",
@@ -177,7 +177,8 @@ def _note_pose(index: _Index, message: BagMessage, decoded: Any) -> None:
     while hasattr(pose, "pose"):
         pose = pose.pose
     time_s = (stamp_ns(decoded.header) or message.time_ns) * 1e-9
-    index.tracks.setdefault(message.topic, []).append([time_s, *pose_row(pose)])
+    row = [float(number) for number in (time_s, *pose_row(pose))]
+    index.tracks.setdefault(message.topic, []).append(row)
     index.posed[message.topic] = str(getattr(decoded, "child_frame_id", ""))
 
 

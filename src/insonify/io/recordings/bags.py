@@ -32,12 +32,14 @@ from rosbags.typesys import (
 )
 from rosbags.typesys.store import Typestore
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reason
 from insonify.io.recordings.messages import message_types
+from insonify.io.recordings.ros1_records import check_records
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\0"
+ROS1 = "ROS 1 bag"
 DAMAGE = (
     ArithmeticError,
     AssertionError,
@@ -97,7 +99,7 @@ def open_bag(path: Path, head: bytes) -> Bag | None:
     if head.startswith(MCAP_MAGIC):
         bag = Bag(path, "MCAP (ROS 2)", lambda topics: _read_mcap(bag, topics))
     elif head.startswith(ROS1_MAGIC):
-        bag = Bag(path, "ROS 1 bag", lambda topics: _read_rosbags(bag, topics))
+        bag = Bag(path, ROS1, lambda topics: _read_rosbags(bag, topics))
     elif head.startswith(SQLITE_MAGIC) or (path.is_dir() and (path / "metadata.yaml").is_file()):
         bag = Bag(path, "ROS 2 bag", lambda topics: _read_rosbags(bag, topics))
     else:
@@ -125,7 +127,7 @@ def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]
                     continue
                 topic, kind, store = channels[record.channel_id]
             except DAMAGE as err:
-                bag.cut = str(err) or type(err).__name__
+                bag.cut = reason(err)
                 return
             if topics is None or topic in topics:
                 yield BagMessage(topic, kind, record.log_time, _decoder(store, record.data, kind))
@@ -158,6 +160,8 @@ def _decoder(store: Typestore, data: bytes, kind: str) -> Callable[[], Any]:
 
 def _read_rosbags(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]:
     try:
+        if bag.path.is_file() and bag.format == ROS1:
+            check_records(bag.path)
         with AnyReader([bag.path], default_typestore=message_types()) as reader:
             wanted = [c for c in reader.connections if topics is None or c.topic in topics]
             if not wanted:
@@ -169,15 +173,16 @@ def _read_rosbags(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessa
                 except StopIteration:
                     return
                 except DAMAGE as err:
-                    bag.cut = str(err) or type(err).__name__
+                    bag.cut = reason(err)
                     return
                 kind = connection.msgtype
                 yield BagMessage(
                     connection.topic, kind, time_ns, _reader_decoder(reader, raw, kind)
                 )
     except DAMAGE as err:
-        what = " ".join(str(err).split()) or type(err).__name__
-        raise RecordingError(f"{bag.path}: damaged, or not a whole {bag.format} ({what})") from err
+        raise RecordingError(
+            f"{bag.path}: damaged, or not a whole {bag.format} ({reason(err)})"
+        ) from err
 
 
 def _reader_decoder(reader: AnyReader, data: bytes, kind: str) -> Callable[[], Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reason
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
     MOST_PIXELS,
@@ -106,4 +106,4 @@ def _pixels(file: Path) -> Array:
                 plain = image.mode in {"L", "I;16", "I;16B", "F"}
                 return np.array(image if plain else image.convert("L"))
     except (*_BROKEN, Image.DecompressionBombWarning) as err:
-        raise RecordingError(f"{file}: damaged, or not an image ({err})") from err
+        raise RecordingError(f"{file}: damaged, or not an image ({reason(err)})") from err

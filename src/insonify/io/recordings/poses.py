@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reason
 from insonify.frames import (
     pose_from_transform,
     quaternion_from_rotation,
@@ -94,7 +94,7 @@ def read_poses(path: Path) -> PoseTrack:
     except FileNotFoundError as err:
         raise RecordingError(f"{path}: there is no such pose file; check the path") from err
     except (OSError, UnicodeDecodeError) as err:
-        raise RecordingError(f"{path}: cannot be read as a pose file ({err})") from err
+        raise RecordingError(f"{path}: cannot be read as a pose file ({reason(err)})") from err
     rows: list[list[float]] = []
     for number, line in enumerate(lines, 1):
         words = line.replace(",", " ").split()
@@ -105,7 +105,7 @@ def read_poses(path: Path) -> PoseTrack:
         except ValueError as err:
             if not rows and not any(_is_number(word) for word in words):
                 continue
-            raise RecordingError(f"{path}, line {number}: not a number ({err})") from err
+            raise RecordingError(f"{path}, line {number}: not a number ({reason(err)})") from err
         if len(row) != 8:
             raise RecordingError(
                 f"{path}, line {number}: {len(row)} numbers; a pose is eight: "
