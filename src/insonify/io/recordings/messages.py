@@ -94,6 +94,9 @@ float64 range_min_m
 float64 range_max_m
 uint32 beams
 uint32 bins
+# state of the noise's generator after the ping (NumPy's PCG64): state and increment, high word
+# first, then what is left of a half-used draw; empty if the noise is not of a generator
+uint64[] generator
 """,
 }
 
@@ -179,8 +182,31 @@ def numbers_from_pose(pose: Pose) -> Float64:
     return np.array([*pose.position_m, pose.roll_rad, pose.pitch_rad, pose.yaw_rad])
 
 
-def ping_state(ping: Ping, pose: Pose, truth: Pose, time_ns: int, frame: str) -> Any:
-    """What the mapper was told of a ping, unrounded."""
+def words_from_generator(generator: np.random.Generator) -> Array:
+    """The state of a PCG64 as six words; none of any other generator."""
+    state = generator.bit_generator.state
+    if state["bit_generator"] != "PCG64":
+        return np.zeros(0, np.uint64)
+    inner = state["state"]
+    words = [w for n in (inner["state"], inner["inc"]) for w in (n >> 64, n & (2**64 - 1))]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def set_generator(generator: np.random.Generator, words: Array) -> None:
+    """Put a PCG64 into a state that `words_from_generator` gave."""
+    a, b, c, d, has, half = map(int, words)
+    generator.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": a << 64 | b, "inc": c << 64 | d},
+        "has_uint32": has,
+        "uinteger": half,
+    }
+
+
+def ping_state(
+    ping: Ping, pose: Pose, truth: Pose, generator: Array, time_ns: int, frame: str
+) -> Any:
+    """What the mapper was told of a ping, unrounded, and the noise's generator after it."""
     geometry = ping.geometry
     return new(
         "insonify_msgs/PingState",
@@ -194,6 +220,7 @@ def ping_state(ping: Ping, pose: Pose, truth: Pose, time_ns: int, frame: str) ->
         range_max_m=geometry.range_max_m,
         beams=geometry.beams,
         bins=geometry.bins,
+        generator=generator,
     )
 
 

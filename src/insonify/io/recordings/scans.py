@@ -73,7 +73,8 @@ class ScanRecorder:
         self._write(TRUTH, messages.odometry(pose, now, "map"))
         frequency_hz = 1e3 * run.config.sonar.frequency_khz
         image = messages.sonar_image(ping, now, "sonar", frequency_hz, SOUND_SPEED_MPS)
-        self._write(STATES, messages.ping_state(ping, pose, pose, now, "sonar"))
+        words = messages.words_from_generator(run.noise)
+        self._write(STATES, messages.ping_state(ping, pose, pose, words, now, "sonar"))
         self._write(IMAGES, image)
         self._write(PICTURES, messages.polar_picture(ping, now, "sonar"))
 
