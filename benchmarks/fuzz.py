@@ -1,4 +1,4 @@
-"""Damaged inputs: ``python -m benchmarks.fuzz [--count N] [--seed S]``.
+"""Damaged inputs: ``python -m benchmarks.fuzz [--count N] [--seed S] [--data DIR]``.
 
 Every reader gets files with bytes cut off, flipped, overwritten, doubled or taken out, and empty
 ones.  Each must give what can be read, with a warning or without, or one sentence that names the
@@ -206,6 +206,20 @@ READERS = (
 )
 
 
+def real_readers(folder: Path) -> tuple[Reader, ...]:
+    """The recordings of a folder, each to be damaged in a copy."""
+
+    def copied(source: Path) -> Make:
+        def make(scratch: Path, rng: np.random.Generator) -> Path:
+            (scratch / source.name).write_bytes(source.read_bytes())
+            return scratch / source.name
+
+        return make
+
+    files = sorted(file for file in folder.iterdir() if file.is_file())
+    return tuple(Reader(file.name, copied(file), _pings) for file in files)
+
+
 def damaged(raw: bytes, rng: np.random.Generator) -> bytes:
     """A copy of some bytes with one kind of damage, or none where chance will have it."""
     size, kind = len(raw), int(rng.integers(0, 8))
@@ -317,12 +331,14 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder for the files that fail a reader")
+    parser.add_argument("--data", type=Path, help="a folder of recordings to damage as well")
     given = parser.parse_args()
+    readers = READERS + (real_readers(given.data) if given.data is not None else ())
     if given.keep is not None:
         given.keep.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    tallies = fuzz(given.count, given.seed, keep=given.keep)
+    tallies = fuzz(given.count, given.seed, readers, keep=given.keep)
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     failures = 0
     for name, tally in tallies.items():

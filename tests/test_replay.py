@@ -7,12 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import samples
 
 from insonify.errors import GeometryError, MemoryLimitError, RecordingError
 from insonify.io.maps import load_map, save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
-from insonify.io.recordings.recording import RecordedPing, Recording, RecordingWarning
+from insonify.io.recordings.recording import (
+    Reading,
+    RecordedPing,
+    Recording,
+    RecordingWarning,
+)
 from insonify.mapping.bayes import BayesMapper, MappingSettings
 from insonify.mapping.voxels import VoxelMap
 from insonify.replay import clearance_m, map_recordings, plan_next
@@ -60,6 +66,18 @@ def test_pings_without_a_pose_are_left_out_and_told(rng: np.random.Generator) ->
         assert map_recordings([_recording(pings)], MappingSettings()).result()["pings"] == 4
     with pytest.raises(RecordingError, match=r"none of its 5 pings has a pose.*--poses"):
         map_recordings([_recording([RecordedPing(p.ping) for p in pings])], MappingSettings())
+
+
+def test_poses_of_another_time_are_told_from_none(tmp_path: Path) -> None:
+    pings = [RecordedPing(Ping(np.zeros((16, 8), np.float32), FAN, 50.0 + k)) for k in range(2)]
+    save_arrays(tmp_path / "r.npz", pings)
+    np.savetxt(tmp_path / "p.tum", samples.tum_rows(3))  # from 100 s on
+    reading = Reading(poses=tmp_path / "p.tum")
+    with pytest.raises(RecordingError, match=r"within the time of its poses.*--clock-offset"):
+        map_recordings([open_recording(tmp_path / "r.npz", reading)], MappingSettings())
+    late = Reading(poses=tmp_path / "p.tum", clock_offset_s=50.0)
+    replay = map_recordings([open_recording(tmp_path / "r.npz", late)], MappingSettings())
+    assert replay.result()["pings"] == 2
 
 
 def test_what_would_not_fit_is_refused_before_it_is_mapped(rng: np.random.Generator) -> None:

@@ -142,11 +142,7 @@ def _map_one(
     if pings == 0:
         raise RecordingError(f"{recording.path}: there are no pings in it")
     if mapped == 0:
-        raise RecordingError(
-            f"{recording.path}: none of its {pings} pings has a pose, so there is no map to make; "
-            "give the vehicle's poses (--poses FILE, TUM format: time x y z qx qy qz qw a line"
-            + (", times in the recording's clock)" if recording.timed else ", one for each ping)")
-        )
+        raise RecordingError(_no_pose(recording, pings))
     if mapped < pings:
         warnings.warn(
             f"{recording.path}: {pings - mapped} of {pings} pings have no pose at their time and "
@@ -161,6 +157,20 @@ def _map_one(
             "pings": pings,
             "mapped": mapped,
         }
+    )
+
+
+def _no_pose(recording: Recording, pings: int) -> str:
+    known = recording.facts.get("poses", "none")
+    if known != "none":
+        return (
+            f"{recording.path}: none of its {pings} pings lies within the time of its poses "
+            f"({known}); check that both are of one clock, or give --clock-offset"
+        )
+    each = "times in the recording's clock" if recording.timed else "one for each ping"
+    return (
+        f"{recording.path}: none of its {pings} pings has a pose, so there is no map to make; give "
+        f"the vehicle's poses (--poses FILE, TUM format: time x y z qx qy qz qw a line, {each})"
     )
 
 

@@ -22,6 +22,7 @@ def write_map_report(replay: Replay, path: Path) -> None:
     result = replay.result()
     page = environment.get_template("map.html.jinja").render(
         result=result,
+        names=", ".join(Path(source["file"]).name for source in result["recordings"]),
         occupancy=_embed(map_pictures.draw_occupancy(window, replay.poses)),
         entropy=_embed(map_pictures.draw_entropy(window)),
         slices=_embed(map_pictures.draw_slices(window)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import time
 from pathlib import Path
@@ -60,3 +61,12 @@ def test_lengths_in_a_ros_1_bag_are_checked_before_they_are_believed(
     path.write_bytes(bytes(raw))
     with pytest.raises(RecordingError, match="beyond the end of the file"):
         open_recording(path)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordingError, match="neither a file nor a folder"):
+        open_recording(tmp_path / "pipe")
+    (tmp_path / "empty").write_bytes(b"")
+    with pytest.raises(RecordingError, match="empty"):
+        open_recording(tmp_path / "empty")

@@ -32,6 +32,8 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
         if path.is_dir():
             bag = open_bag(path, b"")
             return read_images(path, reading) if bag is None else _bag(bag, reading)
+        if path.exists() and not path.is_file():
+            raise RecordingError(f"{path}: neither a file nor a folder")
         with path.open("rb") as file:
             head = file.read(16)
     except FileNotFoundError as err:

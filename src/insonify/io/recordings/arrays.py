@@ -37,6 +37,8 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
         with path.open("rb") as file:
             _check_sizes(path, file.name)
             archive = np.load(file, allow_pickle=False)
+            if "log_odds" in archive.files:
+                raise RecordingError(f"{path}: a map, not a recording; see `insonify plan`")
             arrays = {name: archive[name] for name in archive.files if name in _KNOWN}
     except DAMAGE as err:
         raise RecordingError(f"{path}: damaged, or not a NumPy archive ({reason(err)})") from err
