@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,19 @@ def test_archives_that_are_no_recording(
     np.savez(tmp_path / "r.npz", **(good | change))  # type: ignore[arg-type]
     with pytest.raises(RecordingError, match=words):
         list(open_recording(tmp_path / "r.npz"))
+
+
+def test_arrays_larger_than_memory_are_refused_before_they_are_made(tmp_path: Path) -> None:
+    honest = np.lib.format.header_data_from_array_1_0(np.zeros((1, 3, 4), np.uint8))
+    honest["shape"] = (1 << 30, 1000, 1000)
+    with (
+        zipfile.ZipFile(tmp_path / "r.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("images.npy", "w") as stream,
+    ):
+        np.lib.format.write_array_header_2_0(stream, honest)
+        stream.write(bytes(1 << 20))
+    with pytest.raises(RecordingError, match="does not fit into"):
+        open_recording(tmp_path / "r.npz")
 
 
 def test_a_missing_figure_is_taken_from_the_sonar_or_asked_for(tmp_path: Path) -> None:

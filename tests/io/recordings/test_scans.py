@@ -55,6 +55,14 @@ def test_the_standard_messages_alone_make_nearly_the_same_map(scan: tuple[Run, P
         assert differ.mean() < 1e-3
 
 
+def test_a_clock_offset_moves_the_pings_along_the_odometry(scan: tuple[Run, Path]) -> None:
+    run, path = scan
+    start, end = run.paths[0].waypoints[:2]
+    first = next(iter(open_recording(path, Reading(clock_offset_s=0.05))))
+    assert first.pose is not None
+    assert first.pose.x_m == pytest.approx((start.x_m + end.x_m) / 2)
+
+
 def test_plain_rosbags_reads_all_of_it(scan: tuple[Run, Path]) -> None:
     run, path = scan
     with AnyReader([path]) as reader:
@@ -67,6 +75,9 @@ def test_plain_rosbags_reads_all_of_it(scan: tuple[Run, Path]) -> None:
                 image = message
             if connection.topic == "/tf_static":
                 frames = message
+        latched = {c.topic: c.ext.offered_qos_profiles[0].durability.name  # type: ignore[union-attr]
+                   for c in reader.connections}  # fmt: skip
+    assert {topic for topic, kind in latched.items() if kind == "TRANSIENT_LOCAL"} == {"/tf_static"}
     pings, scans = run.pings, len(run.paths)
     assert kinds == {
         "/sonar/image": ("marine_acoustic_msgs/msg/ProjectedSonarImage", pings),

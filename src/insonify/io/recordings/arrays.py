@@ -1,7 +1,7 @@
 """Recordings as NumPy archives (``.npz``): arrays of images and poses, and the fan's figures.
 
-The layout is described in docs/recordings.md.  Arrays are read one at a time and in slices where
-the archive lets us, and never unpickled.
+The layout is described in docs/recordings.md.  Sizes are checked before arrays are made, and
+nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
@@ -24,7 +25,6 @@ _KNOWN = {
     "images", "time_s", "pose_body", "pose_sensor", "mount", "columns",
     "range_min_m", "range_max_m", "azimuth_deg", "elevation_deg",
 }  # fmt: skip
-_LARGEST_ARRAY_BYTES = 64 << 30
 
 
 def read_arrays(path: Path, reading: Reading) -> Recording:
@@ -103,8 +103,9 @@ def _check_sizes(path: Path, name: str) -> None:
     """Refuse arrays that are larger than their archive can honestly hold, before they are made.
 
     Raises:
-        RecordingError: An array says that it is a thousand times larger than its bytes.
+        RecordingError: An array is larger than the bytes that hold it, or than memory.
     """
+    total = 0
     with zipfile.ZipFile(name) as archive:
         for entry in archive.infolist():
             if entry.filename.removesuffix(".npy") not in _KNOWN:
@@ -119,13 +120,20 @@ def _check_sizes(path: Path, name: str) -> None:
                     raise ValueError(f"array {entry.filename} is of version {version}")
                 shape, _, kind = read_header(stream)
             honest = math.prod(shape) * kind.itemsize
-            if not 0 <= honest <= entry.file_size or honest > _LARGEST_ARRAY_BYTES:
+            if not 0 <= honest <= entry.file_size:
                 raise RecordingError(
                     f"{path}: damaged, array {entry.filename.removesuffix('.npy')} of shape "
                     f"{shape} does not fit into the {entry.file_size} bytes that hold it"
                 )
+            total += honest
             if entry.file_size > 1100 * entry.compress_size + 4096:  # deflate's limit is 1032
                 raise RecordingError(f"{path}: damaged, array {entry.filename} is a false size")
+    free = psutil.virtual_memory().available
+    if total > 0.5 * free:
+        raise RecordingError(
+            f"{path}: its arrays need {total / 1e9:.3g} GB and {free / 1e9:.3g} GB are free; split "
+            "it into recordings of fewer pings"
+        )
 
 
 def _images(path: Path, arrays: dict[str, Array]) -> Array:

@@ -202,7 +202,7 @@ def _sonar_topic(bag: Bag, index: _Index, reading: Reading) -> str:
 
 def _poses(bag: Bag, index: _Index, sonar: str, reading: Reading) -> _Poses:
     frame = index.frames.get(sonar, "")
-    if reading.pose_topic is None and index.states:
+    if reading.pose_topic is None and reading.clock_offset_s == 0.0 and index.states:
         source = f"{len(index.states)} states of pings, unrounded"
         return _Poses(source, None, "states of pings", exact=True)
     topic = _pose_topic(bag, index, reading)

@@ -16,8 +16,8 @@ from typing import Any
 import apsw
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.highlevel import AnyReader
 from rosbags.highlevel.anyreader import AnyReaderError
 from rosbags.rosbag1 import ReaderError as Ros1Error
@@ -40,6 +40,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 ROS1_MAGIC = b"#ROSBAG V"
 SQLITE_MAGIC = b"SQLite format 3\0"
 ROS1 = "ROS 1 bag"
+MOST_CHUNK_BYTES = 1 << 30
 DAMAGE = (
     ArithmeticError,
     AssertionError,
@@ -112,8 +113,8 @@ def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]
     schemas: dict[int, Schema] = {}
     with bag.path.open("rb") as file:
         size = bag.path.stat().st_size
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=size)
-        records = iter(reader.records)
+        reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=size)
+        records = _unpacked(reader)
         while True:
             try:
                 record = next(records, None)
@@ -131,6 +132,17 @@ def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]
                 return
             if topics is None or topic in topics:
                 yield BagMessage(topic, kind, record.log_time, _decoder(store, record.data, kind))
+
+
+def _unpacked(reader: StreamReader) -> Iterator[Any]:
+    """Records in order, chunks taken apart."""
+    for record in reader.records:
+        if not isinstance(record, Chunk):
+            yield record
+        elif record.uncompressed_size > MOST_CHUNK_BYTES:
+            raise ValueError(f"a chunk says that it unpacks to {record.uncompressed_size} bytes")
+        else:
+            yield from breakup_chunk(record, validate_crc=True)
 
 
 def _channel(channel: Channel, schemas: dict[int, Schema]) -> tuple[str, str, Typestore]:
