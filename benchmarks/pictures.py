@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from insonify.report.pictures import draw_decision, draw_fan, draw_slices
+from insonify.report.fans import draw_fan
+from insonify.report.pictures import draw_decision, draw_slices
 from insonify.runs import execute
 from insonify.scenarios import scenario_config
 

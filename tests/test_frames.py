@@ -82,12 +82,13 @@ def test_beams_run_from_port_to_starboard() -> None:
 
 
 @given(angle, angle, angle)
-def test_quaternions_are_scipys(roll: float, pitch: float, yaw: float) -> None:
+def test_quaternions_hold_cosine_and_axis(roll: float, pitch: float, yaw: float) -> None:
     rotation = rotation_from_rpy(roll, pitch, yaw)
-    ours = quaternion_from_rotation(rotation)
-    theirs = Rotation.from_matrix(rotation).as_quat()
-    assert abs(float(ours @ theirs)) == pytest.approx(1.0, abs=1e-12)
-    np.testing.assert_allclose(rotation_from_quaternion(3.0 * ours), rotation, atol=1e-12)
+    x, y, z, w = quaternion = quaternion_from_rotation(rotation)
+    np.testing.assert_allclose(rotation_from_quaternion(3.0 * quaternion), rotation, atol=1e-12)
+    # the turn's cosine is in w, its axis in x, y, z
+    assert 2.0 * w * w - 1.0 == pytest.approx((np.trace(rotation) - 1.0) / 2.0, abs=1e-9)
+    np.testing.assert_allclose(rotation @ [x, y, z], [x, y, z], atol=1e-9)
 
 
 def test_slerp_takes_the_shorter_way() -> None:

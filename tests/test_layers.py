@@ -24,6 +24,7 @@ LAYERS = [
     "mission",
     "evaluation",
     "scenarios",
+    "simulation",
     "runs",
     "comparison",
     "io",

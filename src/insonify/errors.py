@@ -36,7 +36,7 @@ class MapFileError(InsonifyError):
 
 
 class RecordingError(InsonifyError):
-    """A recording is missing, unreadable, or lacks what a map needs."""
+    """A ping, recording or path file is missing, corrupt or of another version."""
 
 
 class RendererError(InsonifyError):

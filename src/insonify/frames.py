@@ -7,10 +7,14 @@ positive up.  A sonar tilted down is pitched about the body's left axis.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from insonify.types import Float64, Pose
+from insonify.errors import GeometryError
+from insonify.types import Float64, Pose, Trajectory
 
 
 def rotation_from_rpy(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Float64:
@@ -57,6 +61,42 @@ def world_from_sonar(pose: Pose, mount: Pose) -> Float64:
     return transform_from_pose(pose) @ transform_from_pose(mount)
 
 
+def pose_from_quaternion(position_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
+    """A pose from a position and a quaternion, which need not be of unit length.
+
+    Raises:
+        GeometryError: A number is not finite, or the quaternion is zero.
+    """
+    quaternion = np.asarray(xyzw, np.float64)
+    length = float(np.linalg.norm(quaternion))
+    if not (np.isfinite(quaternion).all() and length > 1e-9):
+        raise GeometryError(f"{tuple(xyzw)} is no quaternion: check the order and the columns")
+    transform = np.eye(4)
+    transform[:3, :3] = Rotation.from_quat(quaternion / length).as_matrix()
+    transform[:3, 3] = position_m
+    return pose_from_transform(transform)
+
+
+def pose_at(trajectory: Trajectory, time_s: float) -> Pose:
+    """The pose at a time: positions straight, rotations by the shortest turn between two poses.
+
+    Before the first and after the last time the body rests where it is then.
+    """
+    times_s, poses = trajectory.times_s, trajectory.poses
+    after = bisect_right(times_s, time_s)
+    if after == 0:
+        return poses[0]
+    if after == len(times_s) or time_s == times_s[after - 1]:
+        return poses[after - 1]
+    first, second = poses[after - 1], poses[after]
+    part = (time_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1])
+    start, end = transform_from_pose(first), transform_from_pose(second)
+    turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
+    start[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(part * turn).as_matrix()
+    start[:3, 3] += part * (end[:3, 3] - start[:3, 3])
+    return pose_from_transform(start)
+
+
 def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:
     """Unit vectors in the sonar frame, (..., 3), for azimuths and elevations of equal shape."""
     flat = np.cos(elevation_rad)
@@ -66,36 +106,13 @@ def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Floa
 
 
 def quaternion_from_rotation(rotation: Float64) -> Float64:
-    """Unit quaternion (x, y, z, w), (4,), of a rotation matrix, with w not negative.
-
-    The largest of the four is found first, so that no small number divides (Shepperd 1978).
-    """
-    r = rotation
-    trace = float(np.trace(r))
-    squares = np.array([*(1.0 + 2.0 * np.diag(r) - trace), 1.0 + trace]) / 4.0
-    largest = int(np.argmax(squares))
-    products = np.array(
-        [
-            [squares[0], (r[0, 1] + r[1, 0]) / 4, (r[0, 2] + r[2, 0]) / 4, (r[2, 1] - r[1, 2]) / 4],
-            [(r[0, 1] + r[1, 0]) / 4, squares[1], (r[1, 2] + r[2, 1]) / 4, (r[0, 2] - r[2, 0]) / 4],
-            [(r[0, 2] + r[2, 0]) / 4, (r[1, 2] + r[2, 1]) / 4, squares[2], (r[1, 0] - r[0, 1]) / 4],
-            [(r[2, 1] - r[1, 2]) / 4, (r[0, 2] - r[2, 0]) / 4, (r[1, 0] - r[0, 1]) / 4, squares[3]],
-        ]
-    )[largest]
-    quaternion: Float64 = products / np.linalg.norm(products)
-    return -quaternion if quaternion[3] < 0.0 else quaternion
+    """Unit quaternion (x, y, z, w), (4,), of a rotation matrix, with w not negative."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True), np.float64)
 
 
 def rotation_from_quaternion(quaternion: Float64) -> Float64:
     """Rotation matrix, (3, 3), of a quaternion (x, y, z, w) of any length but 0."""
-    x, y, z, w = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), np.float64)
 
 
 def slerp(start: Float64, end: Float64, share: float) -> Float64:

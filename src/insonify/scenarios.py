@@ -28,8 +28,8 @@ from insonify.scene import Body, Material, Scene
 from insonify.scene.meshes import load_mesh, place_mesh, scaled
 from insonify.scene.objects import PROCEDURAL_OBJECTS
 from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
-from insonify.sonar import Sonar
-from insonify.sonar.devices import SonarDevice, sonar_preset
+from insonify.sonar import RendererName, Sonar, renderer_named
+from insonify.sonar.devices import Kind, SonarDevice, sonar_preset
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Box
@@ -105,6 +105,7 @@ class Config(_Settings):
     planner: Literal["entropy", "uniform", "lawnmower"] = "entropy"
     mapper: Literal["bayes"] = "bayes"
     seed: int = Field(0, ge=0, lt=2**63)
+    renderer: RendererName = Field(RendererName.EMBREE, description="embree or opengl")
     object: ObjectSettings = ObjectSettings()
     seabed: SeabedSettings = SeabedSettings()
     survey: SurveySettings = SurveySettings()
@@ -138,13 +139,13 @@ def scenario_config(name: str, layers: Iterable[Table] = ()) -> Config:
                 f"the settings are those of scenario {layer['scenario']!r}, not of {name!r}; name "
                 f"{layer['scenario']!r}, or take the line `scenario` out of the file"
             )
-        table = _overlay(table, layer)
+        table = overlay(table, layer)
     if isinstance(table.get("sonar"), str):
-        table["sonar"] = sonar_preset(table["sonar"]).model_dump()
+        table["sonar"] = _mounted(table["sonar"])
     try:
         return Config.model_validate(table | {"scenario": name})
     except ValidationError as err:
-        raise ConfigError(_explain(err)) from err
+        raise ConfigError(explain(err, Config)) from err
 
 
 def read_config(path: Path) -> Table:
@@ -186,7 +187,7 @@ def parse_setting(text: str) -> Table:
     return dict(parsed)
 
 
-def _overlay(below: Table, above: Table) -> Table:
+def overlay(below: Table, above: Table) -> Table:
     """Nested tables merged, ``above`` winning.
 
     A sonar given by name stands for its preset, so that single settings can follow it.
@@ -195,19 +196,24 @@ def _overlay(below: Table, above: Table) -> Table:
     for key, value in above.items():
         inner = merged.get(key)
         if key == "sonar" and isinstance(inner, str) and isinstance(value, dict):
-            inner = sonar_preset(inner).model_dump()
+            inner = _mounted(inner)
         if isinstance(value, dict) and isinstance(inner, dict):
-            value = _overlay(inner, value)
+            value = overlay(inner, value)
         merged[key] = value
     return merged
 
 
-def _explain(err: ValidationError) -> str:
+def _mounted(preset: str) -> Table:
+    """A preset as settings, tilted as in Park et al. 2025 unless it says how it is mounted."""
+    return sonar_preset(preset, tilt_deg=SonarDevice().tilt_deg).model_dump(mode="json")
+
+
+def explain(err: ValidationError, model: type[BaseModel]) -> str:
     """The first of pydantic's complaints as one sentence."""
     first = err.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
-        return f"there is no setting {key!r}{_did_you_mean(key, _all_keys(Config))}"
+        return f"there is no setting {key!r}{_did_you_mean(key, _all_keys(model))}"
     message = first["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     given = first.get("input")
@@ -248,7 +254,8 @@ class World:
         self.seabed = self._build_seabed()
         self.body = self._place_object()
         self.scene = Scene((self.body,), self.seabed, Material("seabed", config.seabed.reflectance))
-        self.sonar = Sonar(config.sonar, config.sampling, config.image)
+        renderer = renderer_named(config.renderer, config.sampling)
+        self.sonar = Sonar(config.sonar, config.sampling, config.image, renderer)
         self.area = self._designate_area()
         self._check_area()
 
@@ -336,7 +343,12 @@ class World:
             ConfigError: The area is empty, the vehicle would leave the water or the seabed, or the
                 sonar would need more rays than memory holds.
         """
-        survey, area = self.config.survey, self.area
+        survey, area, sonar = self.config.survey, self.area, self.config.sonar
+        if sonar.kind is not Kind.FORWARD_LOOKING or sonar.azimuth_fov_deg > 180.0:
+            raise ConfigError(
+                f"a scan needs a forward-looking sonar of at most 180 degrees, and {sonar.name!r} "
+                f"is a {sonar.kind} one of {sonar.azimuth_fov_deg:g}; see `insonify sonars`"
+            )
         if area.region.low_m[2] >= area.region.high_m[2]:
             raise ConfigError(
                 f"survey.floor_m ({survey.floor_m:g} m above the seabed) leaves nothing of the "

@@ -159,6 +159,25 @@ class ScanPath:
 
 
 @dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Where a body is when: poses at times that rise."""
+
+    times_s: tuple[float, ...]
+    poses: tuple[Pose, ...]
+
+    def __post_init__(self) -> None:
+        if not self.poses or len(self.poses) != len(self.times_s):
+            raise GeometryError("a trajectory needs poses and a time for each of them")
+        if not all(a < b for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+            raise GeometryError("the times of a trajectory must rise; sort them, without repeats")
+
+    @property
+    def end_s(self) -> float:
+        """The last time."""
+        return self.times_s[-1]
+
+
+@dataclass(frozen=True, slots=True)
 class Nav:
     """What the vehicle knows of its own motion: its pose estimate and the scans it has flown."""
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from insonify.io.configs import config_to_toml
+from insonify.report.fans import fan_pixels
 from insonify.report.html import write_report
-from insonify.report.pictures import fan_pixels, voxel_shell
+from insonify.report.pictures import voxel_shell
 from insonify.runs import execute
 from insonify.scenarios import scenario_config
 from insonify.types import FanGeometry, Ping

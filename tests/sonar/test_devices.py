@@ -36,8 +36,28 @@ def test_unknown_preset_lists_the_known_ones() -> None:
         {"range_min_m": 5.0, "range_max_m": 5.0},
         {"range_max_m": float("nan")},
         {"colour": "red"},
+        {"kind": "scanning", "beams": 2},
+        {"kind": "scanning", "beams": 1, "step_deg": 20.0, "sector_deg": 10.0},
     ],
 )
 def test_impossible_devices_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ValidationError):
         SonarDevice.model_validate(bad)
+
+
+def test_what_is_not_confirmed_is_a_field_of_the_device() -> None:
+    for name, table in sonar_presets().items():
+        assert set(table["unconfirmed"]) <= set(SonarDevice.model_fields), name
+
+
+def test_a_ping_takes_its_way_or_the_devices_own_time() -> None:
+    gemini = sonar_preset("gemini-720i")
+    assert gemini.interval_s(1500.0) == pytest.approx(240.0 / 1500.0)
+    near = gemini.model_copy(update={"range_max_m": 10.0})
+    assert near.interval_s(1500.0) == pytest.approx(1 / 15)
+
+
+def test_a_preset_is_mounted_as_it_is_told_unless_it_knows_better() -> None:
+    assert sonar_preset("didson").tilt_deg == 0.0
+    assert sonar_preset("didson", tilt_deg=30.0).tilt_deg == 30.0
+    assert sonar_preset("profiler", tilt_deg=30.0).tilt_deg == 90.0

@@ -51,7 +51,8 @@ def _levels(
     """Received levels in dB."""
     histogram = EchoHistogram(echo.astype(np.float32), (echo > 0).astype(np.float32))
     image = form_physical(
-        histogram, GEOMETRY, 700.0, settings, water, SpeckleField(), Pose(0, 0, 0),
+        histogram, GEOMETRY, SonarDevice(frequency_khz=700.0), settings, water,
+        SpeckleField(), Pose(0, 0, 0),
         rng or np.random.default_rng(0),
     )  # fmt: skip
     levels: Float64 = image.astype(float) * settings.display_range_db + settings.display_floor_db

@@ -21,11 +21,12 @@ from insonify.errors import InsonifyError
 from insonify.cli import scans
 from insonify.cli import recordings
 from insonify.cli import plans
+from insonify.cli import simulation
 from insonify.cli import listings
 
 # isort: on
 
-__all__ = ["app", "listings", "main", "plans", "recordings", "scans"]
+__all__ = ["app", "listings", "main", "plans", "recordings", "scans", "simulation"]
 
 
 def _interrupt(signum: int, frame: object) -> None:

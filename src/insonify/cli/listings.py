@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import textwrap
 
 from insonify.cli.root import (
     ConfigOption,
@@ -17,14 +18,20 @@ from insonify.cli.root import (
 
 @app.command()
 def scenarios(as_json: JsonOption = False) -> None:
-    """List the named scenarios."""
+    """List the named scenarios of scan, and those of simulate."""
     from insonify.scenarios import scenarios as known
+    from insonify.simulation import simulations
 
-    rows = [{"name": name, "title": table["title"]} for name, table in known().items()]
+    rows = [
+        {"name": name, "command": command, "title": table["title"]}
+        for command, tables in (("scan", known()), ("simulate", simulations()))
+        for name, table in tables.items()
+    ]
     if as_json:
         print(json.dumps(rows, indent=2))
     else:
-        print_listing(["name", "what it is"], [[row["name"], row["title"]] for row in rows])
+        cells = [[row["name"], row["command"], row["title"]] for row in rows]
+        print_listing(["name", "for", "what it is"], cells)
 
 
 @app.command()
@@ -36,17 +43,16 @@ def sonars(as_json: JsonOption = False) -> None:
     if as_json:
         print(json.dumps(rows, indent=2))
         return
-    cells = [
-        [
-            row["name"],
-            f"{row['azimuth_fov_deg']:g} x {row['elevation_fov_deg']:g}",
-            f"{row['beams']} x {row['bins']}",
-            f"{row['range_min_m']:g}-{row['range_max_m']:g}",
-            row["source"],
-        ]
-        for row in rows
-    ]
-    print_listing(["name", "fan, deg", "beams x bins", "range, m", "source"], cells)
+    for row in rows:
+        print(
+            f"{row['name']}: {row.get('kind', 'forward-looking')}, "
+            f"{row['azimuth_fov_deg']:g} x {row['elevation_fov_deg']:g} degrees, "
+            f"{row['beams']} beams x {row['bins']} bins, "
+            f"{row['range_min_m']:g}-{row['range_max_m']:g} m"
+        )
+        unconfirmed = ", ".join(row["unconfirmed"]) or "nothing"
+        about = f"{row['source']}. Not confirmed: {unconfirmed}."
+        print(textwrap.fill(about, 88, initial_indent="    ", subsequent_indent="    "))
 
 
 @app.command("config")

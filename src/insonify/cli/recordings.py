@@ -73,7 +73,7 @@ def info(
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
-        from insonify.report.pictures import draw_fan
+        from insonify.report.fans import draw_fan
 
         title = f"{file.name}, ping {summary['pings'] // 2 + 1} of {summary['pings']}"
         write_file(picture, draw_fan(middle, title))

@@ -47,6 +47,9 @@ def scan(
         Path | None, typer.Option("--object", metavar="MESH", help="Scan this mesh file instead.")
     ] = None,
     sonar: Annotated[str | None, typer.Option(help="Scan with this device; see: sonars")] = None,
+    renderer: Annotated[
+        str | None, typer.Option(help="embree or opengl.", show_default=False)
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
     settings: SetOption = None,
     config: ConfigOption = None,
@@ -61,7 +64,8 @@ def scan(
     from insonify.io.recordings.unfinished import OWNER, claim, find_unfinished, remembered
     from insonify.runs import execute
 
-    chosen = choices(planner=planner, seed=seed, sonar=sonar, object=_mesh_table(object_))
+    table = _mesh_table(object_)
+    chosen = choices(planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table)
     full = configure(scenario, config, settings, chosen)
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)

@@ -7,14 +7,24 @@ from pydantic import BaseModel
 from tomlkit.items import Table
 
 from insonify.scenarios import Config
+from insonify.simulation import Simulation
 
 
 def config_to_toml(config: Config) -> str:
     """The whole config, each setting with its meaning; ``--config`` takes it back."""
+    return _commented(config, "A scan", "insonify scan --config THIS_FILE")
+
+
+def simulation_to_toml(config: Simulation) -> str:
+    """The settings of a simulation, each with its meaning; ``--config`` takes them back."""
+    return _commented(config, "A simulation", "insonify simulate --config THIS_FILE")
+
+
+def _commented(settings: BaseModel, what: str, command: str) -> str:
     document = tomlkit.document()
-    document.add(tomlkit.comment("A scan, with all that is needed to run it again:"))
-    document.add(tomlkit.comment("insonify scan --config THIS_FILE"))
-    _fill(document, config)
+    document.add(tomlkit.comment(f"{what}, with all that is needed to run it again:"))
+    document.add(tomlkit.comment(command))
+    _fill(document, settings)
     return tomlkit.dumps(document)
 
 
@@ -34,7 +44,16 @@ def _fill(into: tomlkit.TOMLDocument | Table, settings: BaseModel) -> None:
             into.add(tomlkit.nl())
             into.add(name, table)
             continue
-        item = tomlkit.item(str(value) if isinstance(value, str) else value)
+        item = tomlkit.item(_plain(value))
         if field.description:
             item.comment(field.description)
         into.add(name, item)
+
+
+def _plain(value: object) -> object:
+    """As TOML's own types: enumerations are strings, tuples lists."""
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-import tokenize
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import MapFileError, reason
+from insonify.errors import MapFileError
+from insonify.io.archives import read_archive
 from insonify.mapping.voxels import (
     BLOCK,
     FARTHEST_BLOCK,
@@ -25,23 +22,6 @@ from insonify.types import Box
 
 FORMAT = "insonify-map"
 VERSION = 1
-DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    NotImplementedError,
-    RuntimeError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-"""What NumPy's and Python's readers raise on archives with flipped or missing bytes."""
 
 
 def save_map(voxels: VoxelMap, path: Path) -> None:
@@ -71,19 +51,12 @@ def load_map(path: Path | str) -> VoxelMap:
         MapFileError: The file is missing, is no such map, or is damaged.
     """
     path = Path(path)
-    if not path.is_file():
-        raise MapFileError(f"{path}: there is no such map file; check the path")
+    arrays = read_archive(path, FORMAT, VERSION, MapFileError)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            if str(archive["format"]) != FORMAT or int(archive["version"]) != VERSION:
-                raise MapFileError(
-                    f"{path}: not a version {VERSION} insonify map; write it again with this "
-                    "version"
-                )
-            voxel_m = float(archive["voxel_m"])
-            coords, log_odds, seen = archive["coords"], archive["log_odds"], archive["seen"]
-    except DAMAGE as err:
-        raise MapFileError(f"{path}: damaged, or not an insonify map ({reason(err)})") from err
+        voxel_m = float(arrays["voxel_m"])
+        coords, log_odds, seen = (arrays[name] for name in ("coords", "log_odds", "seen"))
+    except (KeyError, TypeError, ValueError) as err:
+        raise MapFileError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
     kinds = (coords.dtype.kind, log_odds.dtype.kind, seen.dtype.kind)
     if kinds != ("i", "f", "u") or coords.ndim != 2:
         raise MapFileError(f"{path}: damaged, its arrays are of the wrong kind")

@@ -13,6 +13,7 @@ import numpy as np
 
 from insonify.io.configs import config_to_toml
 from insonify.report import pictures
+from insonify.report.fans import draw_fan
 from insonify.runs import Run
 from insonify.types import Array, Bool, Float64
 
@@ -52,7 +53,7 @@ def _decisions(run: Run) -> list[tuple[int, Any, bytes]]:
 
 def _pings(run: Run) -> list[bytes]:
     return [
-        pictures.draw_fan(ping, f"scan {scan}, at ({pose.x_m:.1f}, {pose.y_m:.1f}) m")
+        draw_fan(ping, f"scan {scan}, at ({pose.x_m:.1f}, {pose.y_m:.1f}) m")
         for scan, pose, ping in run.keyframes
     ]
 

@@ -10,7 +10,7 @@ import jinja2
 
 from insonify.replay import Replay
 from insonify.report import map_pictures
-from insonify.report.pictures import draw_fan
+from insonify.report.fans import draw_fan
 
 
 def write_map_report(replay: Replay, path: Path) -> None:

@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 
 from insonify.mapping.voxels import VoxelWindow
 from insonify.planning.entropy import entropy_map
-from insonify.report.figures import png
+from insonify.report.fans import png
 from insonify.types import Array, Pose
 
 _VIEWS = (("from above", 0, 1, 2), ("from the south", 0, 2, 1), ("from the east", 1, 2, 0))

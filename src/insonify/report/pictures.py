@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, to_hex
@@ -11,77 +9,12 @@ from matplotlib.figure import Figure
 
 from insonify.evaluation import GroundTruth
 from insonify.planning.decision import Look, SurveyArea
-from insonify.report.figures import png as _png
+from insonify.report.fans import INK, png
 from insonify.runs import Run, Snapshot
-from insonify.types import Array, Bool, Float64, Ping
+from insonify.types import Array, Bool, Float64
 
 TRUE_POSITIVE, FALSE_POSITIVE, MISS = "#2a9d57", "#d1495b", "#3066be"
-INK, UNSEEN = "#1d2733", "#aab4be"
-
-
-def fan_pixels(ping: Ping, width: int = 480) -> tuple[Array, tuple[float, float, float, float]]:
-    """A sonar image in Cartesian view: starboard to the right, range upwards.
-
-    Returns:
-        (height, width) float32, not a number outside the fan, first row nearest, and the extent
-        (left, right, near, far) in metres.
-    """
-    geometry = ping.geometry
-    half = geometry.azimuth_fov_rad / 2
-    side = geometry.range_max_m * (math.sin(half) if half < math.pi / 2 else 1.0)
-    near = min(0.0, geometry.range_max_m * math.cos(half))
-    scale = 2 * side / width
-    height = max(2, round((geometry.range_max_m - near) / scale))
-    right = (np.arange(width) + 0.5) * scale - side
-    ahead = near + (np.arange(height) + 0.5) * scale
-    range_m = np.hypot(right, ahead[:, None])
-    azimuth = np.arctan2(-right, ahead[:, None] + 0.0 * right)
-    cell = np.floor((range_m - geometry.range_min_m) / geometry.bin_m).astype(int)
-    beam = np.floor((half - azimuth) / geometry.beam_rad).astype(int)
-    inside = (cell >= 0) & (cell < geometry.bins) & (beam >= 0) & (beam < geometry.beams)
-    picture = np.full(inside.shape, np.nan, np.float32)
-    picture[inside] = ping.image[cell[inside], beam[inside]]
-    return picture, (-side, side, near, geometry.range_max_m)
-
-
-def draw_fan(ping: Ping, title: str) -> bytes:
-    """A ping in fan view, with range and bearing axes."""
-    picture, extent = fan_pixels(ping)
-    geometry = ping.geometry
-    half = geometry.azimuth_fov_rad / 2
-    figure = Figure(figsize=(4.2, 6.2))
-    axes = figure.add_subplot()
-    axes.set_facecolor("#0b1420")
-    axes.imshow(picture, origin="lower", extent=extent, cmap="copper", vmin=0, vmax=1)
-    angles = np.linspace(-half, half, 64)
-    for range_m in _ticks(geometry.range_max_m):
-        axes.plot(range_m * np.sin(angles), range_m * np.cos(angles), color="w", lw=0.4, alpha=0.5)
-        axes.text(
-            range_m * math.sin(half) + extent[1] * 0.03,
-            range_m * math.cos(half),
-            f"{range_m:g} m",
-            fontsize=7,
-            color=INK,
-            va="center",
-        )
-    for bearing in np.linspace(-half, half, 5):
-        far = geometry.range_max_m
-        axes.plot(
-            [0, far * math.sin(bearing)], [0, far * math.cos(bearing)], "w", lw=0.4, alpha=0.5
-        )
-        axes.text(
-            1.03 * far * math.sin(bearing),
-            1.03 * far * math.cos(bearing),
-            f"{math.degrees(bearing):+.1f}°",
-            fontsize=7,
-            color=INK,
-            ha="center",
-        )
-    axes.set(xlim=(extent[0] * 1.1, extent[1] * 1.3), ylim=(extent[2], extent[3] * 1.08))
-    axes.set_aspect("equal")
-    axes.set_axis_off()
-    axes.set_title(title, fontsize=9, color=INK)
-    return _png(figure)
+UNSEEN = "#aab4be"
 
 
 def scan_colour(number: int) -> str:
@@ -112,7 +45,7 @@ def draw_trajectory(run: Run) -> bytes:
         )  # fmt: skip
     _map_axes(axes)
     axes.legend(fontsize=8, loc="best")
-    return _png(figure)
+    return png(figure)
 
 
 def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
@@ -144,7 +77,7 @@ def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
     verdict = f"scan {after + 1} chosen" if path is not None else "stop"
     axes.set_title(f"Entropy after scan {after}: {verdict}", fontsize=10, color=INK)
     _map_axes(axes)
-    return _png(figure)
+    return png(figure)
 
 
 def draw_slices(run: Run) -> bytes:
@@ -178,7 +111,7 @@ def draw_slices(run: Run) -> bytes:
         axes.set(xlabel=f"{'xy'[1 - axis]}, m", ylabel="z (up), m")
     for axes in panels:
         axes.tick_params(labelsize=7)
-    return _png(figure)
+    return png(figure)
 
 
 def draw_history(run: Run) -> bytes:
@@ -197,7 +130,7 @@ def draw_history(run: Run) -> bytes:
     for axes in (scores, entropy):
         axes.set_xticks(scans)
         axes.grid(alpha=0.3)
-    return _png(figure)
+    return png(figure)
 
 
 def voxel_shell(filled: Bool, first_m: Float64, voxel_m: float) -> tuple[Float64, Array]:
@@ -280,12 +213,3 @@ def _map_axes(axes: Axes) -> None:
     axes.set(xlabel="x (east), m", ylabel="y (north), m")
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.2)
-
-
-def _ticks(range_m: float) -> Float64:
-    step = 10 ** math.floor(math.log10(range_m))
-    for divisor in (5, 2, 1):
-        if range_m / (step / divisor) <= 8:
-            step /= divisor
-            break
-    return np.arange(step, range_m, step)

@@ -55,6 +55,7 @@ class Scene:
         if not self.meshes:
             raise ValueError("a scene needs a body or a seabed")
         self.materials = tuple(materials)
+        self.labels = tuple(body.name for body in bodies) + (("seabed",) if seabed else ())
         self.reflectance: Float32 = np.array([m.reflectance for m in materials], np.float32)
         self.lambert: Float32 = np.array([10 ** (m.lambert_db / 10) for m in materials], np.float32)
 

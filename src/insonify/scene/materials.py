@@ -72,6 +72,13 @@ def material_named(name: str, own: Mapping[str, Material] | None = None) -> Mate
     return None
 
 
+def material_colour(name: str) -> tuple[float, float, float]:
+    """Linear red, green, blue of the named material that a name contains, or of the default."""
+    known = material_named(name) or Material("default")
+    red, green, blue = material_table()[known.name]["colour"]
+    return red, green, blue
+
+
 def read_materials(path: Path) -> dict[str, Material]:
     """A user's table of materials: TOML, ``[name]`` with ``reflectance`` and/or ``lambert_db``.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
@@ -11,10 +12,30 @@ from insonify.sonar.devices import SonarDevice
 from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
 from insonify.sonar.histogram import Law, Renderer, Response
+from insonify.sonar.opengl import OpenGLRenderer
 from insonify.sonar.physical import PhysicalSettings, SpeckleField, form_physical
 from insonify.sonar.sampling import SamplingSettings
+from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
 from insonify.types import Ping, Pose
+
+
+class RendererName(StrEnum):
+    """The renderers."""
+
+    EMBREE = "embree"
+    OPENGL = "opengl"
+
+
+def renderer_named(name: RendererName, sampling: SamplingSettings) -> Renderer:
+    """A renderer.
+
+    Raises:
+        RendererError: It cannot be had here.
+    """
+    if name is RendererName.OPENGL:
+        return OpenGLRenderer(sampling)
+    return EmbreeRenderer(sampling)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,18 +60,53 @@ class Sonar:
     water: WaterSettings = WaterSettings()
     speckle: SpeckleField = field(default_factory=SpeckleField, compare=False)
 
-    def ping(self, scene: Scene, pose: Pose, rng: np.random.Generator) -> Ping:
-        """One image of a scene from a vehicle pose; the noise is drawn from ``rng``."""
-        geometry = self.device.geometry
-        renderer = self.renderer or EmbreeRenderer(self.sampling)
-        if self.physical is not None:
-            lambert = Response(Law.LAMBERT, edge_db=self.physical.edge_db)
-            echoes = renderer.render(scene, geometry, pose, lambert)
+    def ping(
+        self,
+        scene: Scene,
+        pose: Pose,
+        rng: np.random.Generator | None = None,
+        *,
+        head_rad: float = 0.0,
+        time_s: float = 0.0,
+    ) -> Ping:
+        """One image of a scene from a vehicle pose.
+
+        Args:
+            scene: What is there.
+            pose: Where the vehicle is.
+            rng: Where the noise comes from; without it every ping draws the same, of seed 0.
+            head_rad: How far to the left the head of a scanning sonar is turned.
+            time_s: When the sound is sent.
+        """
+        rng = rng or np.random.default_rng(0)
+        geometry = self.device.geometry_at(head_rad)
+        echoes = self._renderer.render(scene, geometry, pose, self.response)
+        if self.physical is None:
+            image = form_image(echoes, self.image, rng)
+        else:
             image = form_physical(
-                echoes, geometry, self.device.frequency_khz, self.physical, self.water,
-                self.speckle, pose, rng,
-            )  # fmt: skip
-            return Ping(image, geometry)
-        response = Response(Law.SIGMOID, self.image.sigmoid_slope, self.image.sigmoid_centre)
-        echoes = renderer.render(scene, geometry, pose, response)
-        return Ping(form_image(echoes, self.image, rng), geometry)
+                echoes, geometry, self.device, self.physical, self.water, self.speckle, pose, rng
+            )
+        return Ping(image, geometry, time_s)
+
+    def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
+        """What each pixel of the image from a pose shows."""
+        geometry = self.device.geometry_at(head_rad)
+        samples = self._renderer.sample(scene, geometry, pose, self.response)
+        return find_truth(samples, scene, geometry, pose)
+
+    @property
+    def response(self) -> Response:
+        """How surfaces echo in this sonar's model."""
+        if self.physical is None:
+            return Response(Law.SIGMOID, self.image.sigmoid_slope, self.image.sigmoid_centre)
+        return Response(
+            Law.LAMBERT,
+            edge_db=self.physical.edge_db,
+            second_bounce=self.physical.second_bounce,
+            surface_mirror=self.physical.surface_mirror,
+        )
+
+    @property
+    def _renderer(self) -> Renderer:
+        return self.renderer or EmbreeRenderer(self.sampling)

@@ -1,9 +1,10 @@
-"""Forward-looking sonars as data: a validated description, and the presets that come with it."""
+"""Imaging sonars as data: a validated description, and the presets that come with it."""
 
 from __future__ import annotations
 
 import math
 import tomllib
+from enum import StrEnum
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -12,11 +13,28 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from insonify.errors import ConfigError
+from insonify.frames import compose
 from insonify.types import FanGeometry, Pose
+
+_ABOUT = ("source", "unconfirmed")
+
+
+class Kind(StrEnum):
+    """What a device does with its beams."""
+
+    FORWARD_LOOKING = "forward-looking"
+    SCANNING = "scanning"
+    SIDESCAN = "sidescan"
+    PROFILING = "profiling"
 
 
 class SonarDevice(BaseModel):
-    """A forward-looking imaging sonar: a fan of beams, each as high as the elevation field of view.
+    """An imaging sonar: a fan of beams, each as high as the elevation field of view.
+
+    - forward-looking (FLS): many beams side by side, an image a ping;
+    - scanning (MSIS): one beam on a head that turns by a step after each ping;
+    - sidescan: one beam to port and one to starboard, a line of the image a ping;
+    - profiling: a thin fan across the track; each beam measures a range.
 
     Defaults are those of Park et al. 2025, Table 1.
     """
@@ -24,26 +42,54 @@ class SonarDevice(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field("park-2025", description="what the device is called")
-    azimuth_fov_deg: float = Field(29.0, gt=0, le=180, description="horizontal field of view")
+    kind: Kind = Field(
+        Kind.FORWARD_LOOKING, description="forward-looking, scanning, sidescan or profiling"
+    )
+    azimuth_fov_deg: float = Field(29.0, gt=0, le=360, description="horizontal field of view")
     elevation_fov_deg: float = Field(14.0, gt=0, le=120, description="vertical field of view")
     beams: int = Field(96, ge=1, le=4096)
     bins: int = Field(513, ge=1, le=16384, description="range bins")
     range_min_m: float = Field(0.0, ge=0)
     range_max_m: float = Field(12.825, gt=0, le=1000)
     frequency_khz: float = Field(1800.0, gt=1, le=10000, description="for the physical model")
+    beamwidth_deg: float = Field(
+        0.0, ge=0, le=90, description="-3 dB width of a receive beam; 0: the beams' spacing"
+    )
     tilt_deg: float = Field(30.0, ge=-90, le=90, description="mounted looking down by this angle")
+    rate_hz: float = Field(
+        0.0, ge=0, le=1000, description="pings a second at most; 0: as the sound's way allows"
+    )
+    step_deg: float = Field(
+        1.8, gt=0, le=180, description="scanning: the head turns so far after each ping"
+    )
+    sector_deg: float = Field(
+        360.0, gt=0, le=360, description="scanning: the head's sector, around straight ahead"
+    )
+    back_and_forth: bool = Field(
+        False, description="scanning: the head turns round at the sector's ends"
+    )
 
     @model_validator(mode="after")
-    def _ranges_in_order(self) -> Self:
+    def _possible(self) -> Self:
         if self.range_max_m <= self.range_min_m:
             raise ValueError(
                 f"range_max_m ({self.range_max_m:g}) must exceed range_min_m ({self.range_min_m:g})"
+            )
+        if self.beams > 1 and self.kind in {Kind.SCANNING, Kind.SIDESCAN}:
+            raise ValueError(f"a {self.kind} sonar has one beam on each head, not {self.beams}")
+        if self.step_deg > self.sector_deg:
+            raise ValueError(
+                f"step_deg ({self.step_deg:g}) must not exceed sector_deg ({self.sector_deg:g})"
             )
         return self
 
     @property
     def geometry(self) -> FanGeometry:
-        """What the pixels of this device's images mean."""
+        """What the pixels of this device's images mean; of a scanning head, looking ahead."""
+        return self.geometry_at(0.0)
+
+    def geometry_at(self, head_rad: float) -> FanGeometry:
+        """The same with the head turned to the left by an angle about its own upward axis."""
         return FanGeometry(
             azimuth_fov_rad=math.radians(self.azimuth_fov_deg),
             elevation_fov_rad=math.radians(self.elevation_fov_deg),
@@ -51,8 +97,27 @@ class SonarDevice(BaseModel):
             bins=self.bins,
             range_min_m=self.range_min_m,
             range_max_m=self.range_max_m,
-            mount=Pose(0.0, 0.0, 0.0, pitch_rad=math.radians(self.tilt_deg)),
+            mount=_turned(math.radians(self.tilt_deg), head_rad, self.kind),
         )
+
+    def interval_s(self, sound_speed_mps: float) -> float:
+        """Time from one ping to the next: the sound's way there and back, or the rate's cap."""
+        travel_s = 2.0 * self.range_max_m / sound_speed_mps
+        return max(travel_s, 1.0 / self.rate_hz) if self.rate_hz > 0.0 else travel_s
+
+
+def _turned(tilt_rad: float, head_rad: float, kind: Kind) -> Pose:
+    """A head on the body.
+
+    A side-scan's heads are turned first and then tilted.  Others turn on a tilted base: a scanning
+    sonar tilted by 90 degrees scans the plane across the track.
+    """
+    if kind is Kind.SIDESCAN:
+        return Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad, yaw_rad=head_rad)
+    if head_rad == 0.0:
+        return Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad)
+    base, head = Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad), Pose(0.0, 0.0, 0.0, yaw_rad=head_rad)
+    return compose(base, head)
 
 
 @cache
@@ -62,8 +127,12 @@ def sonar_presets() -> dict[str, dict[str, Any]]:
     return tomllib.loads(text)
 
 
-def sonar_preset(name: str) -> SonarDevice:
+def sonar_preset(name: str, tilt_deg: float = 0.0) -> SonarDevice:
     """The preset of a name.
+
+    Args:
+        name: Of the preset.
+        tilt_deg: How it is mounted, unless the preset says so itself.
 
     Raises:
         ConfigError: There is none of that name.
@@ -72,8 +141,8 @@ def sonar_preset(name: str) -> SonarDevice:
     if name not in presets:
         known = ", ".join(sorted(presets))
         raise ConfigError(f"there is no sonar named {name!r}; choose one of {known}")
-    fields = {key: value for key, value in presets[name].items() if key != "source"}
-    return SonarDevice(name=name, **fields)
+    fields = {key: value for key, value in presets[name].items() if key not in _ABOUT}
+    return SonarDevice(**({"name": name, "tilt_deg": tilt_deg} | fields))
 
 
 def read_device(path: Path) -> SonarDevice:

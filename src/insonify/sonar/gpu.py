@@ -66,6 +66,35 @@ def shader(name: str) -> str:
     return resources.files("insonify.sonar").joinpath("shaders", name).read_text(encoding="utf-8")
 
 
+def set_uniforms(program: Any, **uniforms: Any) -> None:
+    """Set uniforms; a matrix goes by columns.  One that the compiler dropped is left out."""
+    for name, value in uniforms.items():
+        if name not in program:
+            continue
+        if isinstance(value, np.ndarray):
+            program[name].write(np.ascontiguousarray(value.T, "f4").tobytes())
+        else:
+            program[name].value = value
+
+
+def projection(half_width: float, half_height: float, near_m: float, far_m: float) -> Float64:
+    """Clip space from the space of an eye that looks along x, with y to the left, z up, (4, 4).
+
+    Args:
+        half_width: Tangent of half the horizontal field of view.
+        half_height: Of half the vertical one.
+        near_m: Nothing nearer is drawn.
+        far_m: Nor farther.
+    """
+    project = np.zeros((4, 4))
+    project[0, 1] = -1.0 / half_width
+    project[1, 2] = 1.0 / half_height
+    project[2, 0] = (far_m + near_m) / (far_m - near_m)
+    project[2, 3] = -2.0 * far_m * near_m / (far_m - near_m)
+    project[3, 0] = 1.0
+    return project
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Uploaded:
     """One body on the device: its buffers, its chunks' boxes, its normal map."""

@@ -48,12 +48,16 @@ class Response:
         slope: Slope of S.
         centre: Intensity at which S is 0.5.
         edge_db: One-way loss at the upper and lower edge of the beam; the beam is Gaussian.
+        second_bounce: Echoes that come by way of a second surface too.
+        surface_mirror: And those that come by way of the water's surface.
     """
 
     law: Law = Law.SIGMOID
     slope: float = 6.0
     centre: float = 0.3
     edge_db: float = 0.0
+    second_bounce: bool = False
+    surface_mirror: bool = False
 
     def strengths(self, scene: Scene) -> Float32:
         """What a body's material brings into the law, by body index."""
@@ -133,6 +137,23 @@ def gather(sets: list[Samples], geometry: FanGeometry) -> EchoHistogram:
     return EchoHistogram(echo.T, coverage.T)
 
 
+def strongest(sets: list[Samples], geometry: FanGeometry) -> Int64:
+    """Which sample gives the strongest echo of each cell, (bins, beams).
+
+    Samples are counted through the sets; -1 where there is no echo.
+    """
+    best = np.zeros((geometry.beams, geometry.bins), np.float32)
+    which = np.full(best.shape, -1, np.int64)
+    before = 0
+    for s in sets:
+        _keep_strongest(
+            s.offsets, s.range_m, s.rise_m, s.skew_m, s.echo, s.weight,
+            geometry.range_min_m, geometry.bin_m, before, best, which,
+        )  # fmt: skip
+        before += len(s.range_m)
+    return which.T
+
+
 @kernel
 def share_below(x: float, rise: float, skew: float) -> float:
     """Share of a patch's echo at less than ``x`` from its middle.
@@ -187,3 +208,38 @@ def _add_samples(
                 echo_sum[beam, cell] += share * echo[k]
                 coverage[beam, cell] += share
                 below = up_to
+
+
+@parallel_kernel
+def _keep_strongest(
+    offsets: Int64,
+    range_m: Float32,
+    rise_m: Float32,
+    skew_m: Float32,
+    echo: Float32,
+    weight: Float32,
+    range_min_m: float,
+    bin_m: float,
+    before: int,
+    best: Float32,
+    which: Int64,
+) -> None:
+    """Note the samples that give more to a cell of (beams, bins) than any before."""
+    beams, bins = best.shape
+    for beam in prange(beams):
+        for k in range(offsets[beam], offsets[beam + 1]):
+            if weight[k] <= 0.0:
+                continue
+            middle = (range_m[k] - range_min_m) / bin_m
+            rise, skew = rise_m[k] / bin_m, skew_m[k] / bin_m
+            reach = 0.5 * (rise + skew)
+            first, last = int(np.floor(middle - reach)), int(np.floor(middle + reach))
+            for cell in range(max(first, 0), min(last, bins - 1) + 1):
+                share = 1.0
+                if first != last:
+                    share = share_below(cell + 1.0 - middle, rise, skew)
+                    share -= share_below(cell - middle, rise, skew)
+                given = np.float32(share * weight[k] * echo[k])
+                if given > best[beam, cell]:
+                    best[beam, cell] = given
+                    which[beam, cell] = before + k

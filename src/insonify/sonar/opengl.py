@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from insonify.errors import RendererError
 from insonify.frames import directions_from_angles, rotation_from_rpy, world_from_sonar
 from insonify.scene import Scene
-from insonify.sonar.gpu import UploadedScene, open_context, shader
+from insonify.sonar.gpu import UploadedScene, open_context, projection, set_uniforms, shader
 from insonify.sonar.histogram import BEYOND, LEAST_FACING, EchoHistogram, Response, Samples
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import FanGeometry, Float64, Pose
@@ -71,7 +72,7 @@ class OpenGLRenderer:
             buffer.bind_to_storage_buffer(slot)
         target.channels.use(0)
         target.patches.use(1)
-        _set(
+        set_uniforms(
             self._bin,
             beams=geometry.beams,
             bins=geometry.bins,
@@ -124,6 +125,11 @@ class OpenGLRenderer:
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
     ) -> _Target:
         """Draw all cameras of a fan."""
+        if response.second_bounce or response.surface_mirror:
+            raise RendererError(
+                "second_bounce and surface_mirror need rays: render with Embree "
+                "(--renderer embree), or leave them out"
+            )
         uploaded = self._upload(scene)
         across, over = even_samples(geometry, self.sampling)
         cameras = _cameras(geometry, across, over)
@@ -136,7 +142,7 @@ class OpenGLRenderer:
         self.context.viewport = (0, 0, *target.channels.size)
         target.frame.clear(0.0, 0.0, 0.0, 0.0)
         self.context.enable_only(self.context.DEPTH_TEST)
-        _set(
+        set_uniforms(
             self._draw,
             sonar_from_scene=sonar_from_scene,
             half_fov=(geometry.azimuth_fov_rad / 2, geometry.elevation_fov_rad / 2),
@@ -151,7 +157,7 @@ class OpenGLRenderer:
         for camera in cameras:
             self.context.viewport = (left, 0, camera.columns, camera.rows)
             left += camera.columns
-            _set(
+            set_uniforms(
                 self._draw,
                 clip_from_sonar=camera.clip_from_sonar(limit_m),
                 camera_azimuth=camera.azimuth_rad,
@@ -162,7 +168,7 @@ class OpenGLRenderer:
                 if not seen.any():
                     continue
                 texture = uploaded.bodies[body].texture
-                _set(
+                set_uniforms(
                     self._draw,
                     strength=float(strengths[body]),
                     body=float(body),
@@ -238,13 +244,8 @@ class _Camera:
 
     def clip_from_sonar(self, far_m: float) -> Float64:
         """Projection, (4, 4): port is left, depth from ``_NEAREST_M`` to ``far_m``."""
-        near = min(_NEAREST_M, 0.5 * far_m)
-        project = np.zeros((4, 4))
-        project[0, 1] = -1.0 / self.half_width
-        project[1, 2] = 1.0 / self.half_height
-        project[2, 0] = (far_m + near) / (far_m - near)
-        project[2, 3] = -2.0 * far_m * near / (far_m - near)
-        project[3, 0] = 1.0
+        near_m = min(_NEAREST_M, 0.5 * far_m)
+        project = projection(self.half_width, self.half_height, near_m, far_m)
         turn = np.eye(4)
         turn[:3, :3] = rotation_from_rpy(0.0, 0.0, -self.azimuth_rad)
         return project @ turn
@@ -271,14 +272,3 @@ def _cameras(geometry: FanGeometry, across: int, over: int) -> tuple[_Camera, ..
         )
         for k in range(count)
     )
-
-
-def _set(program: Any, **uniforms: Any) -> None:
-    """Set uniforms; a matrix goes by columns.  One that the compiler dropped is left out."""
-    for name, value in uniforms.items():
-        if name not in program:
-            continue
-        if isinstance(value, np.ndarray):
-            program[name].write(np.ascontiguousarray(value.T, "f4").tobytes())
-        else:
-            program[name].value = value

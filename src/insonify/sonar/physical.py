@@ -22,6 +22,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field
 
 from insonify.frames import transform_from_pose
+from insonify.sonar.devices import SonarDevice
 from insonify.sonar.histogram import EchoHistogram
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Float64, Pose
@@ -53,9 +54,6 @@ class PhysicalSettings(BaseModel):
     edge_db: float = Field(
         3.0, ge=0, le=40, description="one-way loss at the beam's upper and lower edge"
     )
-    beamwidth_deg: float = Field(
-        0.0, ge=0, le=90, description="-3 dB width of a receive beam; 0: the beams' spacing"
-    )
     taper: float = Field(
         0.85, ge=0, le=1, description="of the array: 0 uniform, side lobes -13 dB; 0.85 Hamming"
     )
@@ -66,6 +64,12 @@ class PhysicalSettings(BaseModel):
         30.0, ge=0, le=80, description="time-varying gain of so much log10 r, dB"
     )
     tvg_absorption: bool = Field(True, description="and of 2 alpha r")
+    second_bounce: bool = Field(
+        False, description="echoes by way of a second surface, which mirrors (Embree only)"
+    )
+    surface_mirror: bool = Field(
+        False, description="echoes by way of the water's surface at z = 0 (Embree only)"
+    )
     display_floor_db: float = Field(115.0, ge=-200, le=300, description="level that is shown as 0")
     display_range_db: float = Field(60.0, gt=0, le=300, description="from there to 1")
 
@@ -132,7 +136,7 @@ def complex_noise(shape: tuple[int, int], rng: np.random.Generator) -> Complex64
 def form_physical(
     echoes: EchoHistogram,
     geometry: FanGeometry,
-    frequency_khz: float,
+    device: SonarDevice,
     settings: PhysicalSettings,
     water: WaterSettings,
     speckle: SpeckleField,
@@ -144,7 +148,7 @@ def form_physical(
     Args:
         echoes: What a renderer saw.
         geometry: Of the sonar.
-        frequency_khz: Of the ping.
+        device: The sonar: its frequency and beamwidth.
         settings: Which stages, how strong.
         water: Absorption and speed of sound.
         speckle: The sonar's speckle; it moves on to this ping.
@@ -152,16 +156,16 @@ def form_physical(
         rng: Where noise comes from.
     """
     range_m = np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)[:, None]
-    alpha = water.absorption_db_per_m(frequency_khz)
+    alpha = water.absorption_db_per_m(device.frequency_khz)
     level_db = settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m
     solid_angle = geometry.beam_rad * geometry.elevation_fov_rad
     power = (10.0 ** (level_db / 10.0) * solid_angle).astype(np.float32) * echoes.echo
-    beam_rad = math.radians(settings.beamwidth_deg) or geometry.beam_rad
+    beam_rad = math.radians(device.beamwidth_deg) or geometry.beam_rad
     if settings.side_lobes and geometry.beams > 1:
         power = power @ _leakage(geometry.beams, geometry.beam_rad, beam_rad, settings.taper)
     if settings.speckle is not Speckle.NONE:
         k_shape = settings.k_shape if settings.speckle is Speckle.K else None
-        wavelength_m = water.sound_speed_mps / (1000.0 * frequency_khz)
+        wavelength_m = water.sound_speed_mps / (1000.0 * device.frequency_khz)
         shape = (geometry.bins, geometry.beams)
         power = power * speckle.move(shape, pose, beam_rad, wavelength_m, k_shape, rng)
     if settings.noise_level_db > -100.0:

@@ -16,7 +16,7 @@ import psutil
 
 from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
-from insonify.io.maps import DAMAGE
+from insonify.io.archives import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import MOST_PIXELS, Reading, RecordedPing, Recording
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose

@@ -1,0 +1,130 @@
+"""Pings as files: image, geometry, time, pose and truth, which load back as they were."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from insonify.errors import RecordingError
+from insonify.io.archives import read_archive
+from insonify.sonar.scanning import HeadPing
+from insonify.sonar.truth import Truth
+from insonify.types import Array, FanGeometry, Float32, Ping, Pose
+
+PING, SWEEP, VERSION = "insonify-ping", "insonify-sweep", 1
+_PIXELWISE = ("label", "elevation_rad", "range_m", "point_m", "first_return", "shadow")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedPing:
+    """A ping with what was saved beside it."""
+
+    ping: Ping
+    pose: Pose
+    truth: Truth | None
+
+
+def save_ping(path: Path, ping: Ping, pose: Pose, truth: Truth | None = None) -> None:
+    """Write a ping as a NumPy archive.
+
+    Arrays: ``format``, ``version``, ``image`` (bins, beams) float32; ``fan``: azimuth and elevation
+    field of view (rad), least and greatest range (m); ``mount`` and ``pose``: x, y, z (m), roll,
+    pitch, yaw (rad) of the sonar on the body and of the body in the world; ``time_s``; with truth
+    also ``labels`` and the arrays of `insonify.sonar.truth.Truth`.
+    """
+    arrays = {"image": ping.image, "time_s": np.array(ping.time_s), "pose": _six(pose)}
+    arrays |= _geometry_arrays(ping.geometry)
+    if truth is not None:
+        arrays["labels"] = np.array(truth.labels)
+        arrays |= {name: getattr(truth, name) for name in _PIXELWISE}
+    _write(path, PING, arrays)
+
+
+def load_ping(path: Path | str) -> SavedPing:
+    """Read a ping written by `save_ping`.
+
+    Raises:
+        RecordingError: The file is missing, is no such ping, or is damaged.
+    """
+    path = Path(path)
+    arrays = read_archive(path, PING, VERSION, RecordingError)
+    try:
+        image = arrays["image"]
+        if image.ndim != 2 or image.dtype != np.float32:
+            raise ValueError(f"its image is {image.dtype} of shape {image.shape}")
+        geometry = _geometry(arrays, image)
+        ping = Ping(image, geometry, float(arrays["time_s"]))
+        truth = None
+        if "labels" in arrays:
+            labels = tuple(str(name) for name in arrays["labels"])
+            truth = Truth(labels, **{name: arrays[name] for name in _PIXELWISE})
+        return SavedPing(ping, _pose(arrays["pose"]), truth)
+    except (KeyError, ValueError, TypeError, IndexError) as err:
+        raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
+
+
+def save_sweep(
+    path: Path, pings: tuple[HeadPing, ...], polar: Ping, deskewed: Ping, truths: tuple[Truth, ...]
+) -> None:
+    """Write a turn of a scanning head as a NumPy archive.
+
+    Arrays: ``raw`` (bins, steps) float32 in the order in which the pings were sent, with
+    ``head_rad``, ``times_s`` and ``poses`` (steps, 6) of each; ``image`` and ``deskewed`` (bins,
+    steps) from port to starboard, with ``fan``, ``mount`` and ``pose``, the first ping's, as in
+    `save_ping`; with truth ``labels`` and the arrays of `Truth`, in the order of ``raw``.
+    """
+    arrays = {
+        "image": polar.image,
+        "deskewed": deskewed.image,
+        "raw": np.concatenate([one.ping.image for one in pings], axis=1),
+        "head_rad": np.array([one.head_rad for one in pings]),
+        "times_s": np.array([one.ping.time_s for one in pings]),
+        "poses": np.array([_six(one.pose) for one in pings]),
+        "pose": _six(pings[0].pose),
+        "time_s": np.array(polar.time_s),
+    }
+    arrays |= _geometry_arrays(polar.geometry)
+    if truths:
+        arrays["labels"] = np.array(truths[0].labels)
+        for name in _PIXELWISE:
+            arrays[name] = np.concatenate([getattr(truth, name) for truth in truths], axis=1)
+    _write(path, SWEEP, arrays)
+
+
+def save_sidescan(path: Path, image: Float32, bin_m: float, poses: list[Pose]) -> None:
+    """Write a side-scan image, (lines, 2 x bins) float32, the first line last, and its poses."""
+    arrays = {"image": image, "bin_m": np.array(bin_m), "poses": np.array([*map(_six, poses)])}
+    _write(path, "insonify-sidescan", arrays)
+
+
+def _write(path: Path, form: str, arrays: dict[str, Array]) -> None:
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file, format=np.array(form), version=np.array(VERSION), allow_pickle=False, **arrays
+        )
+
+
+def _six(pose: Pose) -> Array:
+    return np.array(dataclasses.astuple(pose))
+
+
+def _pose(six: Array) -> Pose:
+    x, y, z, roll, pitch, yaw = (float(value) for value in six)
+    return Pose(x, y, z, roll, pitch, yaw)
+
+
+def _geometry_arrays(geometry: FanGeometry) -> dict[str, Array]:
+    fan = (
+        geometry.azimuth_fov_rad, geometry.elevation_fov_rad,
+        geometry.range_min_m, geometry.range_max_m,
+    )  # fmt: skip
+    return {"fan": np.array(fan), "mount": _six(geometry.mount)}
+
+
+def _geometry(arrays: dict[str, Array], image: Array) -> FanGeometry:
+    azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
+    bins, beams = image.shape
+    return FanGeometry(azimuth, elevation, beams, bins, near, far, _pose(arrays["mount"]))
