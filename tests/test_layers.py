@@ -28,6 +28,7 @@ LAYERS = [
     "runs",
     "comparison",
     "io",
+    "replay",
     "report",
     "cli",
     "__main__",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -78,6 +78,7 @@ class Run:
         history: One entry a scan.
         stop_reason: Why it ended.
         seconds: Wall time of setup, sonar, mapping and planning.
+        noise: What the images' noise is drawn from, as it stands.
     """
 
     config: Config
@@ -92,6 +93,7 @@ class Run:
     history: list[HistoryEntry] = field(default_factory=list)
     stop_reason: StopReason = StopReason.INTERRUPTED
     seconds: dict[str, float] = field(default_factory=dict)
+    noise: np.random.Generator = field(default_factory=np.random.default_rng)
 
     @property
     def pings(self) -> int:
@@ -134,10 +136,20 @@ class Run:
         }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """A ping of a run that was broken off: what came back, and the noise's generator after it."""
+
+    pose: Pose
+    ping: Ping
+    set_noise: Callable[[np.random.Generator], None]
+
+
 def execute(
     config: Config,
     planner: Planner | None = None,
     *,
+    remembered: Iterable[Remembered] = (),
     watch: Callable[[Run, Step], None] = lambda run, step: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Run:
@@ -146,6 +158,7 @@ def execute(
     Args:
         config: What to run.
         planner: Flies instead of the planner that the config names.
+        remembered: The first pings of the same run, broken off before; they are not made again.
         watch: Called after every step, for progress or recording.
         should_stop: Asked after every ping; if true the run ends there, scored as it stands.
 
@@ -160,10 +173,10 @@ def execute(
     _check_plan(world, planner)
     truth = ground_truth(world.scene, world.body, config.mapping.voxel_m)
     rng = np.random.default_rng([config.seed, 2])
-    run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds)
+    run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=rng)
     clock.lap("setup")
     mission = fly(
-        lambda pose: world.sonar.ping(world.scene, pose, rng),
+        _sonar(world, rng, remembered),
         mapper,
         planner,
         lambda path: world.scene.first_collision(path, config.survey.clearance_m),
@@ -176,6 +189,27 @@ def execute(
     if not run.history or run.history[-1].pings < run.pings:
         run.history.append(_assess(run))
     return run
+
+
+def _sonar(
+    world: World, rng: np.random.Generator, remembered: Iterable[Remembered]
+) -> Callable[[Pose], Ping]:
+    """The sonar in its world, after what is remembered of it."""
+    memory = iter(remembered)
+
+    def insonify(pose: Pose) -> Ping:
+        past = next(memory, None)
+        if past is None:
+            return world.sonar.ping(world.scene, pose, rng)
+        if past.pose != pose:
+            raise GeometryError(
+                "the scan that was broken off went another way than this one does; it was made by "
+                "another version of insonify, so delete its recording and scan anew"
+            )
+        past.set_noise(rng)
+        return past.ping
+
+    return insonify
 
 
 class _Clock:
