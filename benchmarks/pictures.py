@@ -2,24 +2,152 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from pathlib import Path
 
-from insonify.report.fans import draw_fan
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from insonify.io.recordings import open_recording
+from insonify.report.fans import INK, draw_fan, fan_pixels, png
 from insonify.report.pictures import draw_decision, draw_slices
 from insonify.runs import execute
 from insonify.scenarios import scenario_config
+from insonify.scene.experiments import bumpy_sphere, structures
+from insonify.scene.materials import Material
+from insonify.simulation import Turn, View, build_scene, simulate, simulation_config
+from insonify.sonar import Sonar
+from insonify.sonar.camera import Camera
+from insonify.sonar.devices import SonarDevice
+from insonify.sonar.formation import ImageSettings
+from insonify.sonar.physical import PhysicalSettings
+from insonify.types import Float64, Ping, Pose
 
 FOLDER = Path("docs/images")
+RECORDINGS = Path("../shared/data/recordings")
 
 
-def main() -> None:
-    """Scan the wreck and draw its first decision, a ping and the map."""
+def scan() -> None:
+    """The wreck's first decision, a ping and the map."""
     run = execute(scenario_config("wreck"))
     _, _, ping = run.keyframes[3]
-    FOLDER.mkdir(parents=True, exist_ok=True)
     (FOLDER / "wreck-decision.png").write_bytes(draw_decision(run, run.snapshots[0], 1))
     (FOLDER / "wreck-ping.png").write_bytes(draw_fan(ping, "wreck, scan 2"))
     (FOLDER / "wreck-map.png").write_bytes(draw_slices(run))
+
+
+def experiments() -> None:
+    """The paper's figures 7 and 8: each world by camera and by sonar."""
+    camera = Camera()
+    for kind, names in (
+        ("fls", ("fls-tank", "fls-grid", "fls-structures")),
+        ("msis", ("msis-tank", "msis-turning", "msis-structures")),
+    ):
+        figure = Figure(figsize=(10.5, 9.0), layout="constrained")
+        panels = figure.subplots(3, 2 if kind == "fls" else 3)
+        for row, name in zip(panels, names, strict=True):
+            config = simulation_config(name, [])
+            scene = build_scene(config.world)
+            (record,) = simulate(config, scene)
+            assert isinstance(record, View | Turn)
+            pose = record.pose if isinstance(record, View) else record.pings[0].pose
+            tilt = math.radians(config.sonar.tilt_deg)
+            tilted = dataclasses.replace(pose, pitch_rad=pose.pitch_rad + tilt)
+            row[0].imshow(camera.take(scene, tilted))
+            row[0].set_axis_off()
+            row[0].set_title(name, fontsize=9, color=INK)
+            if isinstance(record, View):
+                _show(row[1], record.ping, "")
+            else:
+                _show(row[1], record.polar, "as it comes")
+                _show(row[2], record.deskewed, "de-skewed")
+        (FOLDER / f"{kind}-experiments.png").write_bytes(png(figure))
+
+
+def sphere() -> None:
+    """Figures 5 and 6: a sphere smooth and with a normal map; three reflectances."""
+    device = SonarDevice(
+        azimuth_fov_deg=40, elevation_fov_deg=30, beams=256, bins=500, range_min_m=2.0,
+        range_max_m=4.5, tilt_deg=0,
+    )  # fmt: skip
+    sonar = Sonar(device, image=ImageSettings(speckle=0.1, noise=0.01))
+    pose = Pose(-3.4, 0.0, 1.2, pitch_rad=math.radians(20))
+    shown = [
+        ("smooth", bumpy_sphere(bumpy=False)),
+        ("normal map", bumpy_sphere()),
+        *((f"R = {r:.2f}", bumpy_sphere(material=Material("m", r))) for r in (0.35, 1.40, 2.12)),
+    ]
+    figure = Figure(figsize=(13.0, 5.4), layout="constrained")
+    panels = figure.subplots(2, len(shown))
+    camera = Camera()
+    for (title, scene), (above, below) in zip(shown, panels.T, strict=True):
+        above.imshow(camera.take(scene, dataclasses.replace(pose, x_m=-2.4, z_m=0.85)))
+        above.set_axis_off()
+        above.set_title(title, fontsize=9, color=INK)
+        _show(below, sonar.ping(scene, pose), "")
+    (FOLDER / "sphere.png").write_bytes(png(figure))
+
+
+def real() -> None:
+    """Frames of an ARIS and an Oculus beside simulated ones, with histograms."""
+    aris = next(iter(open_recording(RECORDINGS / "sample.aris"))).ping
+    oculus = next(iter(open_recording(RECORDINGS / "oculus_one_ping_8bit.raw"))).ping
+    figure = Figure(figsize=(12.5, 8.0), layout="constrained")
+    panels = figure.subplots(2, 4, width_ratios=(1, 1, 1, 1.2))
+    for row, name, recorded, mhz in (
+        (panels[0], "ARIS 1200", aris, 1.2),
+        (panels[1], "Oculus M1200d", oculus, 2.1),
+    ):
+        geometry = recorded.geometry
+        device = SonarDevice(
+            name=name,
+            azimuth_fov_deg=math.degrees(geometry.azimuth_fov_rad),
+            elevation_fov_deg=14 if mhz < 2 else 12,
+            beams=geometry.beams,
+            bins=geometry.bins,
+            range_min_m=geometry.range_min_m,
+            range_max_m=geometry.range_max_m,
+            frequency_khz=1000 * mhz,
+            tilt_deg=0,
+        )
+        far = geometry.range_max_m
+        pose = Pose(9.0 - 0.55 * far, 0.0, -20.0 + 0.12 * far, pitch_rad=math.radians(8))
+        scene = structures()
+        images = [
+            (f"{name}, recorded", recorded),
+            ("simulated, cerqueira", Sonar(device).ping(scene, pose)),
+            ("simulated, physical", Sonar(device, physical=PhysicalSettings()).ping(scene, pose)),
+        ]
+        for axes, (title, ping) in zip(row[:3], images, strict=True):
+            _show(axes, ping, title)
+        for title, ping in images:
+            counts, edges = np.histogram(ping.image, 64, (0, 1), density=True)
+            middles: Float64 = (edges[1:] + edges[:-1]) / 2
+            row[3].semilogy(middles, np.maximum(counts, 1e-3), label=title)
+        row[3].set(xlabel="intensity", ylabel="density of pixels", ylim=(5e-3, 100))
+        row[3].legend(fontsize=7)
+    (FOLDER / "real-and-simulated.png").write_bytes(png(figure))
+
+
+def _show(axes: Axes, ping: Ping, title: str) -> None:
+    picture, extent = fan_pixels(ping, 600)
+    axes.imshow(picture, origin="lower", extent=extent, cmap="copper", vmin=0, vmax=1)
+    axes.set_axis_off()
+    axes.set_title(title, fontsize=9, color=INK)
+
+
+def main() -> None:
+    """Make all of them; those of recordings only where the data lies beside the project."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    scan()
+    experiments()
+    sphere()
+    if RECORDINGS.is_dir():
+        real()
+    else:
+        print(f"{RECORDINGS} is not here; real-and-simulated.png stays as it is")
 
 
 if __name__ == "__main__":

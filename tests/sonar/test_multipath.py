@@ -55,7 +55,8 @@ def test_what_the_surface_shows_twice_is_weaker_and_all_else_stays() -> None:
     scene = Scene((Body("ball", _ball(12.0, -4.0), Material("steel", 1.4)),))
     plain, with_mirror = _render(scene), _render(scene, surface_mirror=True)
     direct = slice(0, 238)
-    np.testing.assert_array_equal(plain.echo[direct], with_mirror.echo[direct])
+    leak = 0.01 * plain.echo.max()  # limbs of the mirrored ball spread far in range
+    np.testing.assert_allclose(plain.echo[direct], with_mirror.echo[direct], atol=leak)
     twice = with_mirror.echo[275:300].sum()
     seen_from = plain.echo.sum() * (12.0 / math.hypot(12.0, 8.0)) ** 2 * 0.9**2
     # Lambert: the mirror image is a ball as far as its path; elevation foreshortens its opening
