@@ -21,6 +21,7 @@ LAYERS = [
     "sonar",
     "mapping",
     "planning",
+    "vehicle",
     "mission",
     "evaluation",
     "scenarios",
@@ -32,7 +33,7 @@ LAYERS = [
     "cli",
     "__main__",
 ]
-DECIDERS = ("mapping", "planning")
+DECIDERS = ("mapping", "planning", "vehicle")
 TRUTH = {"scene", "evaluation"}
 
 

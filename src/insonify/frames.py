@@ -103,3 +103,45 @@ def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Floa
     return np.stack(
         [flat * np.cos(azimuth_rad), flat * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1
     )
+
+
+def quaternion_from_pose(pose: Pose) -> Float64:
+    """Attitude as a unit quaternion ``world_from_body``, (4,), scalar first."""
+    cr, sr = math.cos(pose.roll_rad / 2), math.sin(pose.roll_rad / 2)
+    cp, sp = math.cos(pose.pitch_rad / 2), math.sin(pose.pitch_rad / 2)
+    cy, sy = math.cos(pose.yaw_rad / 2), math.sin(pose.yaw_rad / 2)
+    return np.array(
+        [
+            cy * cp * cr + sy * sp * sr,
+            cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr,
+            sy * cp * cr - cy * sp * sr,
+        ]
+    )
+
+
+def rotation_from_quaternion(quaternion: Float64) -> Float64:
+    """Rotation matrix (3, 3) of a unit quaternion, scalar first."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pose_from_quaternion(position_m: Float64, quaternion: Float64) -> Pose:
+    """The pose of a position (3,) and an attitude ``world_from_body``, scalar first."""
+    w, x, y, z = (float(c) for c in quaternion)
+    pitch_rad = math.asin(min(1.0, max(-1.0, 2 * (w * y - x * z))))
+    roll_rad = math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    yaw_rad = math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    east, north, up = (float(c) for c in position_m)
+    return Pose(east, north, up, roll_rad, pitch_rad, yaw_rad)
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle within half a turn of zero."""
+    return math.remainder(angle_rad, math.tau)
