@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from insonify.errors import GeometryError
 from insonify.frames import (
+    attitude_from_pose,
     compose,
     directions_from_angles,
-    pose_from_quaternion,
+    pose_from_attitude,
     pose_from_transform,
-    quaternion_from_pose,
-    rotation_from_quaternion,
+    rotation_from_attitude,
     rotation_from_rpy,
     transform_from_pose,
     world_from_sonar,
@@ -84,8 +84,8 @@ def test_beams_run_from_port_to_starboard() -> None:
 @given(angle, angle, angle)
 def test_quaternions_turn_as_rotation_matrices_do(roll: float, pitch: float, yaw: float) -> None:
     pose = Pose(1.0, 2.0, 3.0, roll, pitch / 2, yaw)
-    quaternion = quaternion_from_pose(pose)
+    quaternion = attitude_from_pose(pose)
     turn = rotation_from_rpy(roll, pitch / 2, yaw)
-    np.testing.assert_allclose(rotation_from_quaternion(quaternion), turn, atol=1e-12)
-    back = pose_from_quaternion(np.array([1.0, 2.0, 3.0]), quaternion)
+    np.testing.assert_allclose(rotation_from_attitude(quaternion), turn, atol=1e-12)
+    back = pose_from_attitude(np.array([1.0, 2.0, 3.0]), quaternion)
     np.testing.assert_allclose(transform_from_pose(back), transform_from_pose(pose), atol=1e-6)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from insonify.frames import rotation_from_quaternion
+from insonify.frames import rotation_from_attitude
 from insonify.types import Float64, Pose
 from insonify.vehicle.currents import Current, CurrentSettings
 from insonify.vehicle.description import VehicleDescription, vehicle_named, vehicles
@@ -82,7 +82,7 @@ def test_a_drifting_vehicle_takes_on_the_currents_velocity() -> None:
     water[:3] = 0.3, -0.2, 0.05
     state = resting_state(vehicle, Pose(0.0, 0.0, -10.0, yaw_rad=0.7))
     _drift(vehicle, state, 600.0, step_s=0.02, water=water)
-    ground = rotation_from_quaternion(state[3:7]) @ state[7:10]
+    ground = rotation_from_attitude(state[3:7]) @ state[7:10]
     np.testing.assert_allclose(ground, water[:3], atol=3e-3)
 
 
@@ -95,7 +95,7 @@ def test_energy_never_grows_without_thrust(name: str, rng: np.random.Generator) 
     trace = _drift(vehicle, state, 20.0)
 
     def energy(row: Float64) -> float:
-        height = [row[2] + rotation_from_quaternion(row[3:7])[2] @ c for c in model.centres[:2]]
+        height = [row[2] + rotation_from_attitude(row[3:7])[2] @ c for c in model.centres[:2]]
         kinetic = 0.5 * row[7:13] @ (model.rigid + model.added) @ row[7:13]
         return float(kinetic + model.weights_n[0] * height[0] - model.weights_n[1] * height[1])
 
@@ -110,11 +110,11 @@ def test_without_damping_energy_stays() -> None:
     state = resting_state(free, Pose(0.0, 0.0, -10.0, 0.3, 0.2, 0.0))
     state[7:13] = 0.5, -0.3, 0.2, 0.1, -0.2, 0.3
     start = 0.5 * state[7:13] @ (model.rigid + model.added) @ state[7:13]
-    up = rotation_from_quaternion(state[3:7])[2]
+    up = rotation_from_attitude(state[3:7])[2]
     start += model.weights_n[0] * state[2] - model.weights_n[1] * (state[2] + up @ model.centres[1])
     _drift(free, state, 10.0)
     end = 0.5 * state[7:13] @ (model.rigid + model.added) @ state[7:13]
-    up = rotation_from_quaternion(state[3:7])[2]
+    up = rotation_from_attitude(state[3:7])[2]
     end += model.weights_n[0] * state[2] - model.weights_n[1] * (state[2] + up @ model.centres[1])
     assert end == pytest.approx(start, abs=1e-6)
 
@@ -156,7 +156,7 @@ def test_the_trace_is_what_an_ideal_imu_measures(rng: np.random.Generator) -> No
     vehicle = _vehicle()
     state = resting_state(vehicle, Pose(0.0, 0.0, -10.0, 0.1, 0.1, 0.5))
     state[7:13] = rng.normal(0.0, 0.3, 6)
-    attitude, velocity = state[3:7].copy(), rotation_from_quaternion(state[3:7]) @ state[7:10]
+    attitude, velocity = state[3:7].copy(), rotation_from_attitude(state[3:7]) @ state[7:10]
     trace = _drift(vehicle, state, 5.0, command=np.array([10.0, 5.0, -9.0, -4.0, 3.0, 1.0]))
     for row in trace:
         half = row[16:19] * 0.005
@@ -166,12 +166,12 @@ def test_the_trace_is_what_an_ideal_imu_measures(rng: np.random.Generator) -> No
         turn = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
         after = turn @ step
         middle = (attitude + after) / np.linalg.norm(attitude + after)
-        velocity = velocity + 0.01 * (rotation_from_quaternion(middle) @ row[13:16])
+        velocity = velocity + 0.01 * (rotation_from_attitude(middle) @ row[13:16])
         velocity[2] -= 0.01 * GRAVITY_M_S2
         attitude = after
     np.testing.assert_allclose(attitude, state[3:7], atol=1e-9)
     np.testing.assert_allclose(
-        velocity, rotation_from_quaternion(state[3:7]) @ state[7:10], atol=1e-9
+        velocity, rotation_from_attitude(state[3:7]) @ state[7:10], atol=1e-9
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from insonify.frames import pose_from_quaternion, rotation_from_quaternion
+from insonify.frames import pose_from_attitude, rotation_from_attitude, wrapped
 from insonify.planning.decision import StopReason
 from insonify.types import Float64, Pose
 from insonify.vehicle.control import Belief, Controller
@@ -44,6 +45,22 @@ class Track:
 
     moments: list[Moment] = field(default_factory=list)
     length_m: float = 0.0
+
+
+def pose_errors(track: Track) -> dict[str, float]:
+    """How far belief was from truth: position (m) and heading (degrees), mean, largest, at last."""
+    moments = track.moments
+    away = [math.dist(m.true.position_m, m.estimated.position_m) for m in moments] or [0.0]
+    turned = [
+        abs(math.degrees(wrapped(m.true.yaw_rad - m.estimated.yaw_rad))) for m in moments
+    ] or [0.0]
+    return {
+        "position_mean_m": round(float(np.mean(away)), 6),
+        "position_max_m": round(max(away), 6),
+        "position_last_m": round(away[-1], 6),
+        "heading_mean_deg": round(float(np.mean(turned)), 6),
+        "heading_max_deg": round(max(turned), 6),
+    }
 
 
 class Craft:
@@ -94,12 +111,12 @@ class Craft:
     @property
     def true_pose(self) -> Pose:
         """Where it is."""
-        return pose_from_quaternion(self._state[:3], self._state[3:7])
+        return pose_from_attitude(self._state[:3], self._state[3:7])
 
     @property
     def true_velocity(self) -> Float64:
         """How it moves over ground, (3,) m/s, world frame."""
-        velocity: Float64 = rotation_from_quaternion(self._state[3:7]) @ self._state[7:10]
+        velocity: Float64 = rotation_from_attitude(self._state[3:7]) @ self._state[7:10]
         return velocity
 
     @property
@@ -111,7 +128,7 @@ class Craft:
         """What it believes of its motion."""
         if self.estimator is not None:
             return self.estimator.belief()
-        turn = rotation_from_quaternion(self._state[3:7])
+        turn = rotation_from_attitude(self._state[3:7])
         yaw_rad = float(np.arctan2(turn[1, 0], turn[0, 0]))
         velocity = turn @ self._state[7:10]
         return Belief(self._state[:3].copy(), velocity, turn, self._state[10:13].copy(), yaw_rad)
@@ -156,7 +173,7 @@ class Craft:
 
     def _bottom_track(self) -> Float64:
         state = self._state
-        turn = rotation_from_quaternion(state[3:7])
+        turn = rotation_from_attitude(state[3:7])
         readings = self._dvl.sample(state[:3], turn, state[7:10], state[10:13], self._sound)
         if self.failed("dvl"):
             readings[:] = np.nan

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from insonify.frames import directions_from_angles, quaternion_from_pose
+from insonify.frames import attitude_from_pose, directions_from_angles
 from insonify.jit import kernel
 from insonify.types import Float64, Pose
 from insonify.vehicle.description import VehicleDescription
@@ -85,7 +85,7 @@ def resting_state(vehicle: VehicleDescription, pose: Pose) -> Float64:
     """The state of a vehicle at rest with its thrusters still."""
     state = np.zeros(THRUSTERS + len(vehicle.thrusters))
     state[:3] = pose.position_m
-    state[3:7] = quaternion_from_pose(pose)
+    state[3:7] = attitude_from_pose(pose)
     return state
 
 

@@ -16,9 +16,9 @@ import math
 import numpy as np
 
 from insonify.frames import (
-    pose_from_quaternion,
-    quaternion_from_pose,
-    rotation_from_quaternion,
+    attitude_from_pose,
+    pose_from_attitude,
+    rotation_from_attitude,
 )
 from insonify.jit import kernel
 from insonify.types import Float64, Pose
@@ -42,7 +42,7 @@ class Estimator:
         self._rate = np.zeros(3)
         self.state = np.zeros(18)
         self.state[:3] = start.position_m
-        self.state[6:10] = quaternion_from_pose(start)
+        self.state[6:10] = attitude_from_pose(start)
         spread = np.zeros(STATES)
         spread[P:V], spread[V:A], spread[A:GB] = _START_M, _START_M_S, _START_RAD
         spread[GB:AB] = settings.imu.gyro_bias_rad_s
@@ -61,7 +61,7 @@ class Estimator:
     @property
     def pose(self) -> Pose:
         """The estimated pose."""
-        return pose_from_quaternion(self.state[:3], self.state[6:10])
+        return pose_from_attitude(self.state[:3], self.state[6:10])
 
     @property
     def position_sigma_m(self) -> float:
@@ -72,7 +72,7 @@ class Estimator:
 
     def belief(self) -> Belief:
         """The estimate as the controller takes it."""
-        turn = rotation_from_quaternion(self.state[6:10])
+        turn = rotation_from_attitude(self.state[6:10])
         yaw_rad = math.atan2(turn[1, 0], turn[0, 0])
         return Belief(self.state[:3].copy(), self.state[3:6].copy(), turn, self._rate, yaw_rad)
 
