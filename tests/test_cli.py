@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -51,6 +52,8 @@ def test_scan_writes_everything_and_the_config_runs_again(tmp_path: Path) -> Non
         "map.npz",
         "map.ply",
         "report.html",
+        "recording.mcap",
+        "foxglove.json",
     }
     result = json.loads(first.stdout)
     assert result == json.loads((tmp_path / "a/result.json").read_text())
@@ -69,7 +72,7 @@ def test_scan_writes_everything_and_the_config_runs_again(tmp_path: Path) -> Non
     assert again.returncode == 0, again.stderr
     repeated = json.loads(again.stdout)
     assert repeated | {"seconds": 0} == result | {"seconds": 0}
-    for name in ("map.npz", "map.ply", "config.toml"):
+    for name in ("map.npz", "map.ply", "config.toml", "recording.mcap"):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
@@ -211,6 +214,36 @@ def announce(run, step):
 insonify.runs._note_ping = announce
 main()
 """
+
+
+def test_a_killed_scan_goes_on_where_it_was_with_the_same_result(tmp_path: Path) -> None:
+    quick = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=12"]
+    scan = ["scan", "tetrapod", *quick, "--json"]
+    whole = _run(*scan, "--out", "whole", cwd=tmp_path)
+    assert whole.returncode == 0, whole.stderr
+    process = subprocess.Popen(
+        [sys.executable, "-c", _ANNOUNCING, *scan, "--out", "out"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    while "PING 20" not in process.stderr.readline():
+        assert process.poll() is None
+    process.kill()
+    process.communicate(timeout=120)
+    (left,) = tmp_path.glob(".out-*")
+    again = _run(*scan, "--out", "out", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    (pings,) = re.findall(r"going on after the (\d+) pings", again.stderr)
+    assert 8 <= int(pings) <= 20
+    assert not left.exists()
+    first, second = json.loads(whole.stdout), json.loads(again.stdout)
+    assert first | {"seconds": 0} == second | {"seconds": 0}
+    for name in ("map.npz", "map.ply", "config.toml", "recording.mcap"):
+        same = (tmp_path / "whole" / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
+        assert same, name
 
 
 def test_ctrl_c_before_the_first_ping_leaves_nothing(tmp_path: Path) -> None:

@@ -15,8 +15,11 @@ from insonify.frames import (
     directions_from_angles,
     pose_from_attitude,
     pose_from_transform,
+    quaternion_from_rotation,
     rotation_from_attitude,
+    rotation_from_quaternion,
     rotation_from_rpy,
+    slerp,
     transform_from_pose,
     world_from_sonar,
 )
@@ -89,3 +92,20 @@ def test_quaternions_turn_as_rotation_matrices_do(roll: float, pitch: float, yaw
     np.testing.assert_allclose(rotation_from_attitude(quaternion), turn, atol=1e-12)
     back = pose_from_attitude(np.array([1.0, 2.0, 3.0]), quaternion)
     np.testing.assert_allclose(transform_from_pose(back), transform_from_pose(pose), atol=1e-6)
+
+
+def test_quaternions_hold_cosine_and_axis(roll: float, pitch: float, yaw: float) -> None:
+    rotation = rotation_from_rpy(roll, pitch, yaw)
+    x, y, z, w = quaternion = quaternion_from_rotation(rotation)
+    np.testing.assert_allclose(rotation_from_quaternion(3.0 * quaternion), rotation, atol=1e-12)
+    # the turn's cosine is in w, its axis in x, y, z
+    assert 2.0 * w * w - 1.0 == pytest.approx((np.trace(rotation) - 1.0) / 2.0, abs=1e-9)
+    np.testing.assert_allclose(rotation @ [x, y, z], [x, y, z], atol=1e-9)
+
+
+def test_slerp_takes_the_shorter_way() -> None:
+    start, end = (Rotation.from_euler("z", a, degrees=True).as_quat() for a in (-10, 30))
+    for sign in (1.0, -1.0):
+        middle = rotation_from_quaternion(slerp(start, sign * end, 0.25))
+        np.testing.assert_allclose(middle, rotation_from_rpy(0, 0, 0), atol=1e-12)
+    np.testing.assert_array_equal(slerp(start, start, 0.5), start)

@@ -29,6 +29,7 @@ LAYERS = [
     "runs",
     "comparison",
     "io",
+    "replay",
     "report",
     "cli",
     "__main__",

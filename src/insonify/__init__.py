@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from insonify.errors import InsonifyError as InsonifyError
     from insonify.io.maps import load_map as load_map
     from insonify.io.maps import save_map as save_map
+    from insonify.io.recordings import open_recording as open_recording
     from insonify.mapping.bayes import BayesMapper as BayesMapper
     from insonify.mapping.voxels import VoxelMap as VoxelMap
     from insonify.planning.decision import Decision as Decision
     from insonify.planning.decision import Planner as Planner
     from insonify.planning.decision import StopReason as StopReason
+    from insonify.replay import map_recordings as map_recordings
     from insonify.runs import execute as execute
     from insonify.scenarios import World as World
     from insonify.scenarios import scenario_config as scenario_config
@@ -38,6 +40,8 @@ _HOMES = {
     "execute": "insonify.runs",
     "load_scene": "insonify.scene.worlds",
     "load_map": "insonify.io.maps",
+    "map_recordings": "insonify.replay",
+    "open_recording": "insonify.io.recordings",
     "save_map": "insonify.io.maps",
     "scenario_config": "insonify.scenarios",
 }

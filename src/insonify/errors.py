@@ -41,3 +41,9 @@ class RecordingError(InsonifyError):
 
 class RendererError(InsonifyError):
     """A renderer cannot be had here, or cannot do what is asked."""
+
+
+def reason(err: BaseException) -> str:
+    """What a library says of damage, cut to a length that fits into a sentence."""
+    text = " ".join(str(err).split()) or type(err).__name__
+    return text if len(text) <= 160 else f"{text[:157]}..."

@@ -145,3 +145,25 @@ def pose_from_attitude(position_m: Float64, attitude: Float64) -> Pose:
 def wrapped(angle_rad: float) -> float:
     """The same angle within half a turn of zero."""
     return math.remainder(angle_rad, math.tau)
+
+
+def quaternion_from_rotation(rotation: Float64) -> Float64:
+    """Unit quaternion (x, y, z, w), (4,), of a rotation matrix, with w not negative."""
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True), np.float64)
+
+
+def rotation_from_quaternion(quaternion: Float64) -> Float64:
+    """Rotation matrix, (3, 3), of a quaternion (x, y, z, w) of any length but 0."""
+    return np.asarray(Rotation.from_quat(quaternion).as_matrix(), np.float64)
+
+
+def slerp(start: Float64, end: Float64, share: float) -> Float64:
+    """The quaternion at ``share`` (0 to 1) of the shorter turn between two unit quaternions."""
+    cosine = float(start @ end)
+    if cosine < 0.0:  # the same rotation, the other way round
+        end, cosine = -end, -cosine
+    angle = math.acos(min(1.0, cosine))
+    if angle < 1e-9:
+        return start
+    blend: Float64 = math.sin((1.0 - share) * angle) * start + math.sin(share * angle) * end
+    return blend / math.sin(angle)

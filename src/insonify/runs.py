@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -112,6 +112,7 @@ class Run:
         history: One entry a scan.
         stop_reason: Why it ended.
         seconds: Wall time of setup, sonar, mapping and planning; flying counts as sonar.
+        noise: What the images' noise is drawn from, as it stands.
         flight: What the vehicle did, if there was one.
     """
 
@@ -127,6 +128,7 @@ class Run:
     history: list[HistoryEntry] = field(default_factory=list)
     stop_reason: StopReason = StopReason.INTERRUPTED
     seconds: dict[str, float] = field(default_factory=dict)
+    noise: np.random.Generator = field(default_factory=np.random.default_rng)
     flight: Flight | None = None
 
     @property
@@ -173,10 +175,20 @@ class Run:
         } | flown
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """A ping of a run that was broken off: what came back, and the noise's generator after it."""
+
+    pose: Pose
+    ping: Ping
+    set_noise: Callable[[np.random.Generator], None]
+
+
 def execute(
     config: Config,
     planner: Planner | None = None,
     *,
+    remembered: Iterable[Remembered] = (),
     watch: Callable[[Run, Step], None] = lambda run, step: None,
     should_stop: Callable[[], bool] = lambda: False,
     pace: Callable[[float], None] = lambda time_s: None,
@@ -186,6 +198,7 @@ def execute(
     Args:
         config: What to run.
         planner: Flies instead of the planner that the config names.
+        remembered: The first pings of the same run, broken off before; they are not made again.
         watch: Called after every step, for progress or recording.
         should_stop: Asked after every ping; if true the run ends there, scored as it stands.
         pace: Called with a vehicle's time as it goes on; it may wait.
@@ -198,11 +211,12 @@ def execute(
     _check_memory(world)
     mapper = BayesMapper(config.mapping)
     planner = planner or world.planner()
-    carrier = _carrier(world, pace)
+    rng = np.random.default_rng([config.seed, 2])
+    carrier = _carrier(world, _sonar(world, rng, remembered), pace)
     if isinstance(carrier, Teleport):
         _check_plan(world, planner)
     truth = ground_truth(world.scene, world.body, config.mapping.voxel_m)
-    run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds)
+    run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=rng)
     if isinstance(carrier, Voyage):
         run.flight = Flight(carrier, BayesMapper(config.mapping))
     clock.lap("setup")
@@ -217,17 +231,17 @@ def execute(
     return run
 
 
-def _carrier(world: World, pace: Callable[[float], None]) -> Teleport | Voyage:
+def _carrier(
+    world: World, insonify: Callable[[Pose, Pose], Ping], pace: Callable[[float], None]
+) -> Teleport | Voyage:
     """What carries the sonar: the vehicle that the config names, or none."""
     config, scene = world.config, world.scene
-    rng = np.random.default_rng([config.seed, 2])
-
-    def insonify(pose: Pose) -> Ping:
-        return world.sonar.ping(scene, pose, rng)
-
     clearance_m = config.survey.clearance_m
     if config.vehicle.name == TELEPORT:
-        return Teleport(insonify, lambda path: scene.first_collision(path, clearance_m))
+        return Teleport(
+            lambda pose: insonify(pose, pose),
+            lambda path: scene.first_collision(path, clearance_m),
+        )
     vehicle = vehicle_named(config.vehicle.name)
     return Voyage(
         vehicle,
@@ -239,6 +253,27 @@ def _carrier(world: World, pace: Callable[[float], None]) -> Teleport | Voyage:
         np.random.default_rng([config.seed, 3]),
         pace,
     )
+
+
+def _sonar(
+    world: World, rng: np.random.Generator, remembered: Iterable[Remembered]
+) -> Callable[[Pose, Pose], Ping]:
+    """The sonar in its world, after what is remembered of it: from a true and a believed pose."""
+    memory = iter(remembered)
+
+    def insonify(true: Pose, believed: Pose) -> Ping:
+        past = next(memory, None)
+        if past is None:
+            return world.sonar.ping(world.scene, true, rng)
+        if past.pose != believed:
+            raise GeometryError(
+                "the scan that was broken off went another way than this one does; it was made by "
+                "another version of insonify, so delete its recording and scan anew"
+            )
+        past.set_noise(rng)
+        return past.ping
+
+    return insonify
 
 
 class _Clock:

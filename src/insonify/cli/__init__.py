@@ -19,12 +19,14 @@ from insonify.errors import InsonifyError
 # isort: off
 # --help lists the commands in this order
 from insonify.cli import scans
+from insonify.cli import recordings
+from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import listings
 
 # isort: on
 
-__all__ = ["app", "listings", "main", "scans", "simulation"]
+__all__ = ["app", "listings", "main", "plans", "recordings", "scans", "simulation"]
 
 
 def _interrupt(signum: int, frame: object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -57,7 +58,10 @@ def scan(
     as_json: JsonOption = False,
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
+    from insonify.io.configs import config_to_toml
     from insonify.io.folders import result_folder, unused_folder
+    from insonify.io.recordings.scans import recording
+    from insonify.io.recordings.unfinished import OWNER, claim, find_unfinished, remembered
     from insonify.runs import execute
 
     table = _mesh_table(object_)
@@ -65,10 +69,19 @@ def scan(
     full = configure(scenario, config, settings, chosen)
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
+    before = find_unfinished(folder, config_to_toml(full))
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        with _progress() as watch:
-            run = execute(full, watch=watch, should_stop=interrupted)
+        claim(place.scratch, config_to_toml(full))
+        known, past = remembered(before) if before is not None else (0, iter(()))
+        if known:
+            print(f"insonify: going on after the {known} pings of a scan that was broken off",
+                  file=sys.stderr)  # fmt: skip
+        with _progress() as show, recording(place.scratch) as record:
+            run = execute(full, remembered=past, watch=_both(show, record), should_stop=interrupted)
         _write_results(run, place.scratch)
+        (place.scratch / OWNER).unlink()
+    if before is not None:
+        shutil.rmtree(before.folder, ignore_errors=True)
     result = run.result()
     if as_json:
         print(json.dumps(result, indent=2))
@@ -140,6 +153,18 @@ def _write_results(run: Run, folder: Path) -> None:
     region = run.world.area.region
     save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy, region)
     write_report(run, folder / "report.html")
+
+
+def _both(
+    first: Callable[[Run, Step], None], second: Callable[[Run, Step], None]
+) -> Callable[[Run, Step], None]:
+    """Two consumers of a run's steps as one."""
+
+    def watch(run: Run, step: Step) -> None:
+        first(run, step)
+        second(run, step)
+
+    return watch
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import InsonifyError
+from insonify.errors import InsonifyError, reason
 from insonify.types import Array
 
 DAMAGE = (
@@ -56,4 +56,4 @@ def read_archive(
                 )
             return {name: archive[name] for name in archive.files}
     except DAMAGE as err:
-        raise error(f"{path}: damaged, or not an {form} file ({err})") from err
+        raise error(f"{path}: damaged, or not an {form} file ({reason(err)})") from err

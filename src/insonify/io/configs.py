@@ -28,6 +28,13 @@ def _commented(settings: BaseModel, what: str, command: str) -> str:
     return tomlkit.dumps(document)
 
 
+def settings_to_toml(settings: BaseModel) -> str:
+    """One table of settings, such as a sonar's description, each with its meaning."""
+    document = tomlkit.document()
+    _fill(document, settings)
+    return tomlkit.dumps(document)
+
+
 def _fill(into: tomlkit.TOMLDocument | Table, settings: BaseModel) -> None:
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)

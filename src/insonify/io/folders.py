@@ -67,6 +67,22 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
         _remove_empty(made)
 
 
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file that appears whole or not at all, in the place of one of its name.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    scratch = path.with_name(f".{path.name}.part")
+    try:
+        scratch.write_bytes(data)
+        scratch.replace(path)
+    except OSError as err:
+        with suppress(OSError):
+            scratch.unlink()
+        raise OutputError(f"{path}: cannot be written ({_reason(err)})") from err
+
+
 def _remove_empty(folders: list[Path]) -> None:
     """Remove those of some folders, the deepest first, that hold nothing."""
     for folder in folders:

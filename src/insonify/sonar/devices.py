@@ -7,9 +7,10 @@ import tomllib
 from enum import StrEnum
 from functools import cache
 from importlib import resources
+from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from insonify.errors import ConfigError
 from insonify.frames import compose
@@ -142,3 +143,53 @@ def sonar_preset(name: str, tilt_deg: float = 0.0) -> SonarDevice:
         raise ConfigError(f"there is no sonar named {name!r}; choose one of {known}")
     fields = {key: value for key, value in presets[name].items() if key not in _ABOUT}
     return SonarDevice(**({"name": name, "tilt_deg": tilt_deg} | fields))
+
+
+def read_device(path: Path) -> SonarDevice:
+    """A device described in a TOML file of its own.
+
+    Raises:
+        ConfigError: The file is missing, not TOML, or a figure is unknown or out of range.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise ConfigError(f"{path}: there is no such sonar file; check the path") from err
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
+    try:
+        return SonarDevice.model_validate({"name": path.stem, **table})
+    except ValidationError as err:
+        first = err.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the description"
+        raise ConfigError(f"{path}: {key}: {first['msg'].lower()}; see `insonify sonars`") from err
+
+
+def named_device(name: str) -> SonarDevice:
+    """A preset, or the device described in a TOML file if the name ends in ``.toml``.
+
+    Raises:
+        ConfigError: There is no such preset or file.
+    """
+    return read_device(Path(name)) if name.endswith(".toml") else sonar_preset(name)
+
+
+def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
+    """The device whose fan has this geometry, as far as a device tells it: of its mount the tilt.
+
+    Raises:
+        ConfigError: No forward-looking sonar has such a fan.
+    """
+    try:
+        return SonarDevice(
+            name=name,
+            azimuth_fov_deg=math.degrees(geometry.azimuth_fov_rad),
+            elevation_fov_deg=math.degrees(geometry.elevation_fov_rad),
+            beams=geometry.beams,
+            bins=geometry.bins,
+            range_min_m=geometry.range_min_m,
+            range_max_m=geometry.range_max_m,
+            tilt_deg=math.degrees(geometry.tilt_rad),
+        )
+    except ValidationError as err:
+        raise ConfigError(f"{name}: no forward-looking sonar has this fan ({geometry})") from err

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from insonify.types import FanGeometry
 
-_BINS_HIGH, _BINS_WIDE = 2.5, 16.0
+_BINS_HIGH, _BINS_WIDE = 5.0, 24.0
 """Arc of a patch at the farthest range, in bins; its echo is shared among those it spans."""
 _FEWEST_OVER, _MOST_OVER, _FEWEST_ACROSS, _MOST_ACROSS = 64, 1024, 8, 16
 

@@ -38,7 +38,7 @@ class Voyage:
         vehicle: VehicleDescription,
         settings: VehicleSettings,
         clearance_m: float,
-        insonify: Callable[[Pose], Ping],
+        insonify: Callable[[Pose, Pose], Ping],
         sound: Sounder,
         collides: Callable[[Pose], bool],
         rng: np.random.Generator,
@@ -50,7 +50,7 @@ class Voyage:
             vehicle: What flies.
             settings: How it flies.
             clearance_m: Least distance between its hull and anything the map knows.
-            insonify: The sonar in its world, from the vehicle's true pose.
+            insonify: The sonar in its world, from a true pose; the believed one is for its records.
             sound: The world, to the Doppler log.
             collides: The world's answer to a true pose: whether the hull touches something.
             rng: The vehicle's randomness.
@@ -106,8 +106,9 @@ class Voyage:
                 return
             if scanning and self._pings.due(craft.time_s) and not craft.failed("sonar"):
                 heard_s, pinged = craft.time_s, True
-                ping = replace(self._insonify(craft.true_pose), time_s=craft.time_s)
-                yield craft.believed_pose, ping
+                believed = craft.believed_pose
+                ping = self._insonify(craft.true_pose, believed)
+                yield believed, replace(ping, time_s=craft.time_s)
             if scanning and craft.time_s - heard_s > _SILENT_PINGS / self.settings.ping_hz:
                 yield StopReason.SILENT
                 return

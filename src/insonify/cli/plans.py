@@ -1,0 +1,206 @@
+"""The next scan for a real vehicle, from a saved map."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from insonify.cli.root import JsonOption, SetOption, app, print_listing, single_layers
+from insonify.errors import ConfigError, GeometryError
+
+if TYPE_CHECKING:
+    from insonify.io.plans import Datum
+    from insonify.mapping.voxels import VoxelMap
+    from insonify.planning.active import EntropySettings
+    from insonify.planning.decision import Decision
+    from insonify.scenarios import Config
+    from insonify.sonar.devices import SonarDevice
+    from insonify.types import Box, Pose
+
+
+@app.command()
+def plan(
+    map_: Annotated[
+        Path, typer.Argument(metavar="MAP", help="A map.npz, or a result folder that has one.")
+    ],
+    from_: Annotated[
+        str,
+        typer.Option(
+            "--from", metavar="'X Y Z YAW'", help="The vehicle's pose: metres in the map, degrees."
+        ),
+    ],
+    sonar: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE.toml", help="By default the one beside the map."),
+    ] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Where uncertainty counts; default: the map's."
+        ),
+    ] = None,
+    datum: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'LAT LON [HEIGHT]'", help="Of the map's origin (WGS 84), for GeoJSON and QGC."
+        ),
+    ] = None,
+    waypoints: Annotated[int, typer.Option(min=1, max=10000, help="Of the scan.")] = 40,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the path.")] = Path("plan"),
+    settings: SetOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan the next scan path from a map: where it would resolve most of what is undecided."""
+    from insonify.cli.recordings import box_from_text
+    from insonify.io.folders import result_folder
+    from insonify.io.maps import load_map
+    from insonify.io.plans import save_plan
+    from insonify.replay import clearance_m, plan_next
+
+    pose = _pose(from_)
+    place = _datum(datum) if datum is not None else None
+    entropy = _entropy(settings)
+    file = map_ / "map.npz" if map_.is_dir() else map_
+    voxels = load_map(file)
+    device = _device(file, sonar)
+    box = box_from_text(region) if region is not None else _region(file, voxels)
+    with result_folder(out, force=force) as folder:
+        decision = plan_next(voxels, device.geometry, box, pose, entropy, waypoints)
+        document = _describe(decision, pose, box)
+        if decision.path is not None:
+            document["clearance_m"] = round(clearance_m(voxels, pose, decision.path), 3)
+            document["files"] = save_plan(decision.path, folder.scratch, place)
+            (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
+    if as_json:
+        print(json.dumps(document, indent=2))
+    else:
+        print_listing(["what", "value"], [[key, str(value)] for key, value in document.items()])
+    if decision.path is None:
+        print("insonify: no scan is worth flying; no path was written", file=sys.stderr)
+        return
+    if document["clearance_m"] < 1.0:
+        print(
+            f"insonify: warning: the way there or the scan comes within "
+            f"{document['clearance_m']:g} m of an occupied voxel; look before it is flown",
+            file=sys.stderr,
+        )
+    if place is None:
+        print("insonify: no --datum, so no GeoJSON and no QGroundControl plan", file=sys.stderr)
+    print(f"Path: {folder.target}", file=sys.stderr)
+
+
+def _pose(text: str) -> Pose:
+    from insonify.types import Pose
+
+    try:
+        x, y, z, yaw = (float(word) for word in text.replace(",", " ").split())
+    except ValueError as err:
+        raise GeometryError(
+            f"--from takes x, y, z in metres and yaw in degrees, as in '0 0 -15 90', not {text!r}"
+        ) from err
+    return Pose(x, y, z, yaw_rad=math.radians(yaw))
+
+
+def _datum(text: str) -> Datum:
+    from insonify.io.plans import Datum
+
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise GeometryError(
+            f"--datum takes latitude and longitude in degrees and a height in metres, as in "
+            f"'41.5 -71.3 0', not {text!r}"
+        )
+    return Datum(*numbers)
+
+
+def _entropy(settings: list[str] | None) -> EntropySettings:
+    from pydantic import ValidationError
+
+    from insonify.planning.active import EntropySettings
+
+    table: dict[str, Any] = {}
+    for layer in single_layers(settings):
+        inner = layer.get("entropy")
+        if not isinstance(inner, dict):
+            raise ConfigError(f"plan takes --set entropy.KEY=VALUE only, not {next(iter(layer))}")
+        table |= inner
+    try:
+        return EntropySettings.model_validate(table)
+    except ValidationError as err:
+        first = err.errors()[0]
+        key = ".".join(("entropy", *map(str, first["loc"])))
+        raise ConfigError(f"setting {key}: {first['msg'].lower()}") from err
+
+
+def _device(file: Path, name: str | None) -> SonarDevice:
+    """The sonar named, or else the one that made the map, as its folder tells."""
+    from insonify.sonar.devices import named_device, read_device
+
+    if name is not None:
+        return named_device(name)
+    if (file.parent / "sonar.toml").is_file():
+        return read_device(file.parent / "sonar.toml")
+    config = _scan_config(file)
+    if config is None:
+        raise ConfigError(f"{file}: nothing beside it says what sonar will scan; name it (--sonar)")
+    return config.sonar
+
+
+def _region(file: Path, voxels: VoxelMap) -> Box:
+    """The region of the map's result, or of the scan that made it, or around what is occupied."""
+    from insonify.replay import around_occupied
+    from insonify.scenarios import World
+    from insonify.types import Box
+
+    try:
+        result = json.loads((file.parent / "result.json").read_text(encoding="utf-8"))
+        low, high = result["region_m"]
+        return Box.of(low, high)
+    except (OSError, ValueError, KeyError, TypeError):
+        config = _scan_config(file)
+    return around_occupied(voxels) if config is None else World(config).area.region
+
+
+def _scan_config(file: Path) -> Config | None:
+    """The config of the scan that made a map, if it lies beside it."""
+    from insonify.scenarios import read_config, scenario_config
+
+    if not (file.parent / "config.toml").is_file():
+        return None
+    table = read_config(file.parent / "config.toml")
+    return scenario_config(str(table.get("scenario", "")), [table])
+
+
+def _describe(decision: Decision, pose: Pose, region: Box) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "from": [*pose.position_m, round(math.degrees(pose.yaw_rad), 6)],
+        "region_m": [list(region.low_m), list(region.high_m)],
+        "stop": decision.stop.value if decision.stop is not None else None,
+    }
+    look = decision.look
+    if look is not None:
+        document |= {
+            "cluster_voxels": len(look.cluster.voxels_m),
+            "cluster_centre_m": [round(c, 4) for c in look.cluster.centre_m],
+            "cluster_entropy_bits": round(look.cluster.entropy, 2),
+            "best_candidate": look.best,
+            "best_share": round(float(look.h_cluster[look.best] / look.cluster.entropy), 4),
+        }
+    if decision.path is not None:
+        start = decision.path.waypoints[0]
+        document |= {
+            "start": [*(round(c, 4) for c in start.position_m), math.degrees(start.yaw_rad)],
+            "length_m": round(decision.path.length_m, 4),
+            "transit_m": round(math.dist(pose.position_m, start.position_m), 4),
+            "waypoints": len(decision.path.waypoints),
+        }
+    return document

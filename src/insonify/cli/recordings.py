@@ -1,0 +1,295 @@
+"""What is in a recording, and maps from recordings."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from insonify.cli.root import (
+    EXIT_INTERRUPTED,
+    JsonOption,
+    SetOption,
+    app,
+    interruptible,
+    print_listing,
+    single_layers,
+    stderr,
+)
+from insonify.errors import ConfigError, GeometryError
+
+if TYPE_CHECKING:
+    from insonify.io.recordings.recording import Reading, Recording
+    from insonify.mapping.bayes import MappingSettings
+    from insonify.replay import Replay
+    from insonify.types import Box
+
+SonarOption = Annotated[
+    str | None,
+    typer.Option(
+        "--sonar",
+        metavar="NAME|FILE.toml",
+        help="The device, for what the recording does not say of it; see: sonars",
+    ),
+]
+PosesOption = Annotated[
+    Path | None, typer.Option("--poses", metavar="FILE", help="Poses in TUM format.")
+]
+OffsetOption = Annotated[
+    float,
+    typer.Option("--clock-offset", metavar="S", help="Added to ping times to find their poses."),
+]
+SonarTopicOption = Annotated[
+    str | None, typer.Option("--sonar-topic", metavar="TOPIC", help="Of a bag: the pings.")
+]
+PoseTopicOption = Annotated[
+    str | None, typer.Option("--pose-topic", metavar="TOPIC", help="Of a bag: the poses.")
+]
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: file or folder.")],
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Write its middle ping in fan view.")
+    ] = None,
+    sonar: SonarOption = None,
+    poses: PosesOption = None,
+    clock_offset: OffsetOption = 0.0,
+    sonar_topic: SonarTopicOption = None,
+    pose_topic: PoseTopicOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
+    from insonify.io.recordings import open_recording
+    from insonify.io.recordings.summary import summarise
+
+    reading = _reading(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    summary, middle = summarise(open_recording(file, reading))
+    if picture is not None and middle is not None:
+        from insonify.io.folders import write_file
+        from insonify.report.fans import draw_fan
+
+        title = f"{file.name}, ping {summary['pings'] // 2 + 1} of {summary['pings']}"
+        write_file(picture, draw_fan(middle, title))
+        print(f"Picture: {picture}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    else:
+        print_listing(["what", "value"], _rows(summary))
+
+
+@app.command("map")
+def map_(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="RECORDING...", help="Recordings: files or folders.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    sonar: SonarOption = None,
+    voxel: Annotated[float, typer.Option(metavar="M", help="Edge length of a voxel.")] = 0.1,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="'X0 Y0 Z0 X1 Y1 Z1'",
+            help="Where entropy counts; by default around what is occupied.",
+        ),
+    ] = None,
+    poses: PosesOption = None,
+    clock_offset: OffsetOption = 0.0,
+    sonar_topic: SonarTopicOption = None,
+    pose_topic: PoseTopicOption = None,
+    settings: SetOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Build an occupancy map, its entropy and a report from recordings."""
+    from insonify.io.folders import result_folder
+    from insonify.io.recordings import open_recording
+    from insonify.replay import map_recordings
+
+    mapping = _mapping(voxel, settings)
+    box = box_from_text(region) if region is not None else None
+    reading = _reading(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    with result_folder(out, force=force) as place, interruptible() as interrupted:
+        recordings = [open_recording(file, reading) for file in files]
+        _say_what_is_assumed(recordings)
+        with _progress() as watch:
+            replay = map_recordings(recordings, mapping, box, watch=watch, should_stop=interrupted)
+        _write_map(replay, place.scratch)
+    result = replay.result()
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        print_listing(["what", "value"], _result_rows(result))
+    print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
+    if interrupted():
+        print("insonify: interrupted; what was mapped until then is kept", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _mapping(voxel_m: float, settings: list[str] | None) -> MappingSettings:
+    """Mapping settings from --voxel and --set mapping.KEY=VALUE."""
+    from pydantic import ValidationError
+
+    from insonify.mapping.bayes import MappingSettings
+
+    table: dict[str, Any] = {"voxel_m": voxel_m}
+    for layer in single_layers(settings):
+        inner = layer.get("mapping")
+        if not isinstance(inner, dict):
+            raise ConfigError(f"map takes --set mapping.KEY=VALUE only, not {next(iter(layer))}")
+        table |= inner
+    try:
+        return MappingSettings.model_validate(table)
+    except ValidationError as err:
+        first = err.errors()[0]
+        key = ".".join(("mapping", *map(str, first["loc"])))
+        raise ConfigError(
+            f"setting {key}: {first['msg'].lower()}, not {first.get('input')!r}; see "
+            "`insonify config tetrapod` for the mapping settings"
+        ) from err
+
+
+def box_from_text(text: str) -> Box:
+    """The box of a --region.
+
+    Raises:
+        GeometryError: It is not six numbers, the low corner first.
+    """
+    from insonify.types import Box
+
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+        x0, y0, z0, x1, y1, z1 = numbers
+    except ValueError as err:
+        raise GeometryError(
+            f"--region takes six numbers in metres, as in '-5 -5 -20 5 5 -15', not {text!r}"
+        ) from err
+    if not (x0 < x1 and y0 < y1 and z0 < z1) or max(map(abs, numbers)) > 1e6:
+        raise GeometryError(f"--region {text!r}: its second corner must lie above its first")
+    return Box((x0, y0, z0), (x1, y1, z1))
+
+
+def _say_what_is_assumed(recordings: list[Recording]) -> None:
+    for recording in recordings:
+        if recording.facts.get("elevation_assumed"):
+            print(
+                f"insonify: warning: {recording.path}: how high its beams are is not in the file; "
+                "a nominal figure is taken (--sonar says better)",
+                file=sys.stderr,
+            )
+
+
+def _write_map(replay: Replay, folder: Path) -> None:
+    import numpy as np
+
+    from insonify.io.configs import settings_to_toml
+    from insonify.io.maps import save_map, save_point_cloud
+    from insonify.planning.active import EntropySettings
+    from insonify.planning.entropy import entropy_map
+    from insonify.report.map_html import write_map_report
+    from insonify.sonar.devices import device_of
+
+    voxels = replay.mapper.voxels
+    text = json.dumps(replay.result(), indent=2) + "\n"
+    (folder / "result.json").write_text(text, encoding="utf-8")
+    save_map(voxels, folder / "map.npz")
+    save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, replay.region)
+    window = voxels.window(replay.region)
+    low_m = np.array(window.first) * window.voxel_m
+    np.savez_compressed(
+        folder / "entropy.npz",
+        entropy_bits=entropy_map(window),
+        seen=window.seen,
+        low_m=low_m,
+        voxel_m=window.voxel_m,
+    )
+    device = device_of(replay.fans[0], "recorded")
+    (folder / "sonar.toml").write_text(settings_to_toml(device), encoding="utf-8")
+    write_map_report(replay, folder / "report.html")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[Recording, int], None]]:
+    """A progress bar on stderr over the pings of one recording after another."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = stderr()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("opening", total=None)
+
+        def watch(recording: Recording, ping: int) -> None:
+            name = recording.path.name
+            bar.update(task, completed=ping, total=recording.count, description=name)
+
+        yield watch
+
+
+def _result_rows(result: dict[str, Any]) -> list[list[str]]:
+    low, high = ([f"{c:.2f}" for c in corner] for corner in result["region_m"])
+    region = result["region"]
+    share = region["in_view"] / max(1, region["voxels"])
+    return [
+        *([source["file"], f"{source['mapped']} of {source['pings']} pings"]
+          for source in result["recordings"]),
+        ["voxel, m", f"{result['mapping']['voxel_m']:g}"],
+        ["occupied voxels", str(result["occupied_voxels"])],
+        ["region, m", f"({', '.join(low)}) to ({', '.join(high)})"],
+        ["  in view", f"{share:.1%} of {region['voxels']} voxels"],
+        ["  entropy, bits", f"{region['entropy_bits']:.0f}"],
+        ["seconds", f"{sum(result['seconds'].values()):.2f}"],
+    ]  # fmt: skip
+
+
+def _reading(
+    sonar: str | None,
+    poses: Path | None,
+    clock_offset_s: float,
+    sonar_topic: str | None,
+    pose_topic: str | None,
+) -> Reading:
+    from insonify.io.recordings.recording import Reading
+    from insonify.sonar.devices import named_device
+
+    device = named_device(sonar) if sonar is not None else None
+    return Reading(device, poses, clock_offset_s, sonar_topic, pose_topic)
+
+
+def _rows(summary: dict[str, Any]) -> list[list[str]]:
+    rows = [[key, summary[key]] for key in ("file", "format", "pings")]
+    if summary["clock"]:
+        rows += [["first ping, s", summary["first_s"]], ["duration, s", summary["duration_s"]]]
+    else:
+        rows += [["clock", "none: pings count from 0"]]
+    for fan in summary["fans"]:
+        kind = f"{fan['beams']} beams x {fan['bins']} bins"
+        rows.append(["fan" if len(summary["fans"]) == 1 else f"fan of {fan['pings']} pings", kind])
+        rows.append(["  ranges, m", f"{fan['range_min_m']:.6g} to {fan['range_max_m']:.6g}"])
+        rows.append(["  bin, m", f"{fan['bin_m']:.6g}"])
+        low, high = fan["bearings_deg"]
+        rows.append(["  edges, deg to starboard", f"{low:.2f} to {high:.2f}"])
+        rows.append(["  elevation, deg", f"{fan['elevation_deg']:g}{_assumed(summary)}"])
+        rows.append(["  mount roll, pitch, yaw, deg", str(fan["mount_rpy_deg"])])
+    rows.append(["pixels, of 1", f"mean {summary['pixel_mean']}, most {summary['pixel_max']}"])
+    path = f", {summary['path_m']:.3f} m of path" if summary["poses"] else ""
+    rows.append(["poses", f"{summary['poses']} of {summary['pings']} pings{path}"])
+    says = {key: value for key, value in summary["says"].items() if key != "elevation_assumed"}
+    says["source of poses"] = says.pop("poses")
+    for key, value in says.items():
+        if isinstance(value, dict):
+            rows += [[key, ""], *([f"  {name}", number] for name, number in value.items())]
+        else:
+            rows.append([key.replace("_", " "), value])
+    return [[str(key), str(value)] for key, value in rows]
+
+
+def _assumed(summary: dict[str, Any]) -> str:
+    return " (assumed; --sonar says better)" if summary["says"].get("elevation_assumed") else ""

@@ -1,0 +1,60 @@
+"""Recordings of sonar: many formats, one way to read them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from insonify.errors import RecordingError
+from insonify.io.recordings.aris import MAGIC as ARIS_MAGIC
+from insonify.io.recordings.aris import read_aris
+from insonify.io.recordings.arrays import read_arrays
+from insonify.io.recordings.bag_recording import read_bag
+from insonify.io.recordings.bags import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, Bag, open_bag
+from insonify.io.recordings.images import read_images
+from insonify.io.recordings.oculus import START as OCULUS_START
+from insonify.io.recordings.oculus import read_oculus
+from insonify.io.recordings.recording import Reading, Recording, with_poses
+
+_PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
+
+
+def _bag(bag: Bag, reading: Reading) -> Recording:
+    return with_poses(read_bag(bag, reading), reading)
+
+
+def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
+    """Open a recording of any known format, told by its first bytes.
+
+    Raises:
+        RecordingError: It is missing, of no known format, or damaged beyond reading.
+    """
+    try:
+        if path.is_dir():
+            bag = open_bag(path, b"")
+            return read_images(path, reading) if bag is None else _bag(bag, reading)
+        if path.exists() and not path.is_file():
+            raise RecordingError(f"{path}: neither a file nor a folder")
+        with path.open("rb") as file:
+            head = file.read(16)
+    except FileNotFoundError as err:
+        raise RecordingError(f"{path}: there is no such recording; check the path") from err
+    except OSError as err:
+        raise RecordingError(f"{path}: cannot be read ({err.strerror})") from err
+    if not head:
+        raise RecordingError(f"{path}: an empty file")
+    if head[:4] == ARIS_MAGIC:
+        return with_poses(read_aris(path, reading), reading)
+    if head[:2] == OCULUS_START:
+        return with_poses(read_oculus(path, reading), reading)
+    if head[:2] == b"PK":
+        return with_poses(read_arrays(path, reading), reading)
+    if head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC)):
+        bag = open_bag(path, head)
+        assert bag is not None
+        return _bag(bag, reading)
+    if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
+        raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
+    raise RecordingError(
+        f"{path}: of no known format (it begins with {head[:8]!r}); known are MCAP, ROS "
+        "bags, ARIS version 5, Oculus simple pings, NumPy archives (.npz) and folders of images"
+    )

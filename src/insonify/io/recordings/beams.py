@@ -1,0 +1,117 @@
+"""Beams where the device points them, and the even fan that maps are made with.
+
+`FanGeometry` spaces beams and bins evenly and is symmetric.  A device whose beams are not is
+resampled: the fan has as many beams as the device, spans the same angles, and each of its beams
+takes the whole column of the device's beam in whose sector its centre lies, so that every pixel
+stays one the device measured.  A fan that looks to one side is turned by its mount.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insonify.frames import compose
+from insonify.types import Array, FanGeometry, Float32, Float64, Int64, Pose
+
+EVEN = 0.02
+"""Beams count as even if none is further from its even place than this share of a beam."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvenFan:
+    """A fan geometry, and which of the device's rows and columns make it.
+
+    ``beams`` and ``bins`` are None where the device's own are even already.
+    """
+
+    geometry: FanGeometry
+    beams: Int64 | None
+    bins: Int64 | None
+
+    def image(self, pixels: Array) -> Float32:
+        """The device's image, (bins, beams), as an image of the even fan."""
+        if self.beams is not None:
+            pixels = pixels[:, self.beams]
+        if self.bins is not None:
+            pixels = pixels[self.bins]
+        return unit_pixels(pixels)
+
+
+def even_fan(
+    azimuths_rad: Float64,
+    ranges_m: Float64,
+    elevation_fov_rad: float,
+    mount: Pose,
+    lone_beam_rad: float = 0.0,
+) -> EvenFan:
+    """The even fan of a device.
+
+    Args:
+        azimuths_rad: (beams,) centres, port to starboard, so falling.
+        ranges_m: (bins,) centres, rising.
+        elevation_fov_rad: Height of all beams.
+        mount: The sonar on the body.
+        lone_beam_rad: Width of a beam that has no neighbours to tell it by.
+
+    Raises:
+        ValueError: The centres are not in order, or are no angles and ranges of a sonar.
+    """
+    left, right, beams = _spread(-azimuths_rad, lone_beam_rad)
+    left, right = -left, -right
+    near, far, bins = _spread(ranges_m, 0.0)
+    if not (0.0 < left - right <= np.pi + 1e-9 and max(abs(left), abs(right)) < 2 * np.pi):
+        raise ValueError(f"the beams span {np.degrees(left - right):.4g} degrees")
+    if not -1e-6 * far <= near < far < 1e5:
+        raise ValueError(f"the ranges go from {near:.4g} to {far:.4g} m")
+    if not 0.0 < elevation_fov_rad <= np.pi:
+        raise ValueError(f"the beams are {np.degrees(elevation_fov_rad):.4g} degrees high")
+    middle = 0.5 * (left + right)
+    if abs(middle) > EVEN * (left - right) / len(azimuths_rad):
+        mount = compose(mount, Pose(0.0, 0.0, 0.0, yaw_rad=middle))
+    geometry = FanGeometry(
+        azimuth_fov_rad=left - right,
+        elevation_fov_rad=elevation_fov_rad,
+        beams=len(azimuths_rad),
+        bins=len(ranges_m),
+        range_min_m=max(0.0, near),
+        range_max_m=far,
+        mount=mount,
+    )
+    return EvenFan(geometry, beams, bins)
+
+
+def _spread(centres: Float64, lone: float) -> tuple[float, float, Int64 | None]:
+    """Outer edges of rising centres, and for each even place the index of the centre it takes."""
+    count = len(centres)
+    if count == 0 or not np.isfinite(centres).all():
+        raise ValueError("its beams or ranges are missing or not finite")
+    if count == 1:
+        width = lone or 2.0 * float(centres[0])
+        return float(centres[0]) - width / 2, float(centres[0]) + width / 2, None
+    steps = np.diff(centres)
+    if (steps <= 0).any():
+        raise ValueError("its beams or ranges are not in order")
+    step = float(centres[-1] - centres[0]) / (count - 1)
+    even = centres[0] + step * np.arange(count)
+    if float(abs(centres - even).max()) <= EVEN * step:
+        return float(centres[0]) - step / 2, float(centres[-1]) + step / 2, None
+    first, last = float(centres[0] - steps[0] / 2), float(centres[-1] + steps[-1] / 2)
+    places = first + (np.arange(count) + 0.5) * (last - first) / count
+    return first, last, np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
+
+
+def unit_pixels(pixels: Array) -> Float32:
+    """Pixels as float32 in [0, 1]: whole numbers by their type's range, others cut to it.
+
+    Raises:
+        ValueError: A pixel is not a number.
+    """
+    if pixels.dtype.kind in "ui":
+        scaled = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    else:
+        scaled = pixels.astype(np.float32)
+        if not np.isfinite(scaled).all():
+            raise ValueError("a pixel is not a number")
+    return np.ascontiguousarray(np.clip(scaled, 0.0, 1.0))

@@ -1,0 +1,109 @@
+"""A folder of sonar images in polar form, with a pose file and the sonar's description beside.
+
+Rows are ranges, the nearest first; columns are beams from port to starboard.  Images are taken in
+the order of their names; a name that is a number with a decimal point is a time in seconds.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from insonify.errors import RecordingError, reason
+from insonify.io.recordings.beams import unit_pixels
+from insonify.io.recordings.recording import (
+    MOST_PIXELS,
+    Reading,
+    RecordedPing,
+    Recording,
+    RecordingWarning,
+    with_poses,
+)
+from insonify.sonar.devices import SonarDevice, read_device
+from insonify.types import Array, FanGeometry, Ping
+
+SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm"}
+POSE_FILES = ("poses.csv", "poses.txt", "poses.tum")
+DEVICE_FILE = "sonar.toml"
+_UNREADABLE = (OSError, ValueError, SyntaxError, EOFError, MemoryError, OverflowError, TypeError)
+_BROKEN = (*_UNREADABLE, IndexError, KeyError, RuntimeError, Image.DecompressionBombError)
+
+
+def read_images(path: Path, reading: Reading) -> Recording:
+    """Open a folder of images.
+
+    Raises:
+        RecordingError: There are no images, or nothing says what sonar made them.
+    """
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+    if not files:
+        raise RecordingError(
+            f"{path}: no images in this folder (PNG, TIFF, PGM, BMP, JPEG), and no bag"
+        )
+    device = _device(path, reading)
+    first = _pixels(files[0])
+    geometry = _geometry(device, first)
+    times = _times(files)
+
+    def read() -> Iterator[RecordedPing]:
+        for number, file in enumerate(files):
+            try:
+                pixels = _pixels(file)
+            except RecordingError as err:
+                warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
+                continue
+            fan = geometry if pixels.shape == first.shape else _geometry(device, pixels)
+            time_s = float(number) if times is None else times[number]
+            yield RecordedPing(Ping(unit_pixels(pixels), fan, time_s))
+
+    facts = {"device": device.name, "pixels": str(first.dtype), "poses": "none"}
+    count = len(files)
+    recording = Recording(path, "folder of images", count, times is not None, facts, read)
+    beside = next((path / name for name in POSE_FILES if (path / name).is_file()), None)
+    return with_poses(recording, reading, beside)
+
+
+def _device(path: Path, reading: Reading) -> SonarDevice:
+    if reading.device is not None:
+        return reading.device
+    if not (path / DEVICE_FILE).is_file():
+        raise RecordingError(
+            f"{path}: nothing says what sonar made these images; put a {DEVICE_FILE} into the "
+            "folder, or name the sonar (--sonar)"
+        )
+    return read_device(path / DEVICE_FILE)
+
+
+def _geometry(device: SonarDevice, pixels: Array) -> FanGeometry:
+    """The device's fan with as many bins and beams as the image has."""
+    bins, beams = pixels.shape
+    return device.model_copy(update={"bins": bins, "beams": beams}).geometry
+
+
+def _times(files: list[Path]) -> list[float] | None:
+    """Times in seconds, if all names are numbers with a decimal point, in order."""
+    try:
+        times = [float(file.stem) for file in files if "." in file.stem]
+    except ValueError:
+        return None
+    ordered = all(a <= b for a, b in pairwise(times))
+    return times if len(times) == len(files) and ordered and np.isfinite(times).all() else None
+
+
+def _pixels(file: Path) -> Array:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(file) as image:
+                width, height = image.size
+                if width * height > MOST_PIXELS:
+                    raise RecordingError(f"{file}: {width} x {height} pixels are too many")
+                plain = image.mode in {"L", "I;16", "I;16B", "F"}
+                return np.array(image if plain else image.convert("L"))
+    except (*_BROKEN, Image.DecompressionBombWarning) as err:
+        raise RecordingError(f"{file}: damaged, or not an image ({reason(err)})") from err

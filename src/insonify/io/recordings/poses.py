@@ -1,0 +1,140 @@
+"""Poses over time: TUM files, and interpolation to the time of a ping."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from insonify.errors import RecordingError, reason
+from insonify.frames import (
+    pose_from_transform,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    slerp,
+    transform_from_pose,
+)
+from insonify.types import Float64, Pose
+
+MOST_POSE_FILE_BYTES = 1 << 30
+
+
+class PoseTrack:
+    """Poses in order of time; between two of them the position is linear and the turn even."""
+
+    def __init__(self, rows: Float64) -> None:
+        """From rows (N, 8): seconds, x, y, z in metres, quaternion x, y, z, w.
+
+        Raises:
+            ValueError: A number is not finite, a quaternion has no length, or time goes back.
+        """
+        if not np.isfinite(rows).all():
+            raise ValueError("a pose holds a number that is not finite")
+        lengths = np.linalg.norm(rows[:, 4:], axis=1)
+        if (abs(lengths - 1.0) > 0.1).any():
+            raise ValueError(
+                f"quaternion {int(np.argmax(abs(lengths - 1.0))) + 1} has a length of "
+                f"{lengths[np.argmax(abs(lengths - 1.0))]:.3g}, not 1"
+            )
+        if (np.diff(rows[:, 0]) < 0).any():
+            raise ValueError("its times go back")
+        self._rows = rows.copy()
+        self._rows[:, 4:] /= lengths[:, None]
+
+    @classmethod
+    def of(cls, poses: Iterable[tuple[float, Pose]]) -> PoseTrack:
+        """From times in seconds and poses."""
+        rows = []
+        for time_s, pose in poses:
+            rotation = transform_from_pose(pose)[:3, :3]
+            rows.append([time_s, *pose.position_m, *quaternion_from_rotation(rotation)])
+        return cls(np.array(rows, np.float64).reshape(-1, 8))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time."""
+        return float(self._rows[0, 0]), float(self._rows[-1, 0])
+
+    def sample(self, number: int) -> Pose:
+        """The pose of a row."""
+        return _pose(self._rows[number, 1:4], self._rows[number, 4:])
+
+    def at(self, time_s: float) -> Pose | None:
+        """The pose at a time; None before the first pose and after the last."""
+        times = self._rows[:, 0]
+        after = int(np.searchsorted(times, time_s))
+        if after < len(times) and times[after] == time_s:
+            return self.sample(after)
+        if after == 0 or after == len(times):
+            return None
+        start, end = self._rows[after - 1], self._rows[after]
+        share = float((time_s - start[0]) / (end[0] - start[0]))
+        position = (1.0 - share) * start[1:4] + share * end[1:4]
+        return _pose(position, slerp(start[4:], end[4:], share))
+
+
+def read_poses(path: Path) -> PoseTrack:
+    """A pose file in TUM format: ``time x y z qx qy qz qw`` a line, spaces or commas between.
+
+    Lines that begin with ``#`` are left out, and so is a first line of names.
+
+    Raises:
+        RecordingError: The file is missing, or a line is not eight numbers that make a pose.
+    """
+    try:
+        if path.stat().st_size > MOST_POSE_FILE_BYTES:
+            raise RecordingError(f"{path}: larger than 1 GiB, so not a pose file")
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError as err:
+        raise RecordingError(f"{path}: there is no such pose file; check the path") from err
+    except (OSError, UnicodeDecodeError) as err:
+        raise RecordingError(f"{path}: cannot be read as a pose file ({reason(err)})") from err
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            row = [float(word) for word in words]
+        except ValueError as err:
+            if not rows and not any(_is_number(word) for word in words):
+                continue
+            raise RecordingError(f"{path}, line {number}: not a number ({reason(err)})") from err
+        if len(row) != 8:
+            raise RecordingError(
+                f"{path}, line {number}: {len(row)} numbers; a pose is eight: "
+                "time x y z qx qy qz qw (TUM format)"
+            )
+        rows.append(row)
+    if not rows:
+        raise RecordingError(f"{path}: no poses in it; a line is: time x y z qx qy qz qw")
+    try:
+        return PoseTrack(np.array(rows))
+    except ValueError as err:
+        raise RecordingError(f"{path}: {err}; each line is: time x y z qx qy qz qw") from err
+
+
+def path_length_m(poses: Iterable[Pose]) -> float:
+    """Length of the straight legs between poses."""
+    return sum(math.dist(a.position_m, b.position_m) for a, b in pairwise(poses))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _pose(position: Float64, quaternion: Float64) -> Pose:
+    transform = np.eye(4)
+    transform[:3, :3] = rotation_from_quaternion(quaternion)
+    transform[:3, 3] = position
+    return pose_from_transform(transform)

@@ -1,0 +1,89 @@
+"""A simulated scan as a recording: a consumer of the mission's steps, like progress or a report.
+
+Frames (REP 105): map, odom, base_link, sonar; map and odom coincide.  A mission without a clock
+of its own pings ten times a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from insonify.frames import transform_from_pose
+from insonify.io.recordings import messages
+from insonify.io.recordings.mcap_writing import McapWriter
+from insonify.mapping.voxels import probability_from_log_odds
+from insonify.mission import Decided, Pinged, Scanned, Step
+from insonify.runs import Run
+from insonify.types import Ping, Pose
+
+IMAGES, STATES, PICTURES = "/sonar/image", "/sonar/state", "/sonar/polar"
+ESTIMATE, TRUTH = "/odometry", "/ground_truth/odometry"
+PLANS, OCCUPIED = "/plan", "/map/occupied"
+SOUND_SPEED_MPS = 1500.0
+"""Told in each ping; the simulator's ranges are exact at any speed."""
+_STEP_NS = 100_000_000
+
+
+@contextmanager
+def recording(folder: Path) -> Iterator[Callable[[Run, Step], None]]:
+    """A consumer of a run's steps that writes ``recording.mcap`` and its Foxglove layout."""
+    layout = resources.files("insonify.io.recordings").joinpath("foxglove.json")
+    (folder / "foxglove.json").write_text(layout.read_text(encoding="utf-8"), encoding="utf-8")
+    with McapWriter(folder / "recording.mcap") as writer:
+        yield ScanRecorder(writer).watch
+
+
+class ScanRecorder:
+    """Writes the steps of one run."""
+
+    def __init__(self, writer: McapWriter) -> None:
+        """Record into an open file."""
+        self._writer = writer
+        self._now_ns = 0
+        self._mount: Pose | None = None
+
+    def watch(self, run: Run, step: Step) -> None:
+        """Record a step."""
+        if isinstance(step, Decided) and step.decision.path is not None:
+            waypoints = step.decision.path.waypoints
+            self._write(PLANS, messages.path(waypoints, self._now_ns, "map"))
+        elif isinstance(step, Pinged):
+            self._record_ping(run, step.ping, step.pose)
+        elif isinstance(step, Scanned):
+            self._record_map(run)
+
+    def _record_ping(self, run: Run, ping: Ping, pose: Pose) -> None:
+        time_ns = round(ping.time_s * 1e9)
+        self._now_ns = time_ns if time_ns > self._now_ns else self._now_ns + _STEP_NS
+        now = self._now_ns
+        mount = ping.geometry.mount
+        if mount != self._mount:
+            self._mount = mount
+            sonar = transform_from_pose(mount) @ messages.IMAGE_FROM_SONAR
+            links = [("map", "odom", np.eye(4)), ("base_link", "sonar", sonar)]
+            self._write("/tf_static", messages.transforms(links, now))
+        link = ("odom", "base_link", transform_from_pose(pose))
+        self._write("/tf", messages.transforms([link], now))
+        self._write(ESTIMATE, messages.odometry(pose, now, "odom"))
+        self._write(TRUTH, messages.odometry(pose, now, "map"))
+        frequency_hz = 1e3 * run.config.sonar.frequency_khz
+        image = messages.sonar_image(ping, now, "sonar", frequency_hz, SOUND_SPEED_MPS)
+        words = messages.words_from_generator(run.noise)
+        self._write(STATES, messages.ping_state(ping, pose, pose, words, now, "sonar"))
+        self._write(IMAGES, image)
+        self._write(PICTURES, messages.polar_picture(ping, now, "sonar"))
+
+    def _record_map(self, run: Run) -> None:
+        voxels = run.mapper.voxels
+        odds = voxels.log_odds
+        points = np.column_stack([voxels.occupied_m(), probability_from_log_odds(odds[odds > 0.0])])
+        names = ("x", "y", "z", "probability")
+        self._write(OCCUPIED, messages.point_cloud(points, names, self._now_ns, "map"))
+
+    def _write(self, topic: str, message: object) -> None:
+        self._writer.write(topic, message, self._now_ns)

@@ -1,0 +1,241 @@
+"""Archives, image folders, pose files, and the even fan they become."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks import samples
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from insonify.errors import ConfigError, RecordingError
+from insonify.frames import transform_from_pose
+from insonify.io.recordings import open_recording
+from insonify.io.recordings.arrays import save_arrays
+from insonify.io.recordings.beams import even_fan, unit_pixels
+from insonify.io.recordings.poses import PoseTrack, read_poses
+from insonify.io.recordings.recording import Reading, RecordedPing, RecordingWarning
+from insonify.sonar.devices import SonarDevice, named_device
+from insonify.types import FanGeometry, Ping, Pose
+
+DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "recordings"
+FAN = {"range_min_m": 0.5, "range_max_m": 3.0, "azimuth_deg": 60.0, "elevation_deg": 12.0}
+
+
+def test_arrays_come_back_as_they_were(tmp_path: Path, rng: np.random.Generator) -> None:
+    mount = Pose(0.2, 0.0, -0.1, 0.01, 0.5, -0.02)
+    fan = FanGeometry(math.radians(50.0), math.radians(20.0), 6, 5, 0.1, 2.0, mount)
+    pings = [
+        RecordedPing(
+            Ping(rng.random((5, 6), np.float32), fan, 10.0 + k), Pose(k, 2.0, -3.0, 0.1, 0.2, 0.3)
+        )
+        for k in range(4)
+    ]
+    save_arrays(tmp_path / "r.npz", pings)
+    recording = open_recording(tmp_path / "r.npz")
+    assert recording.timed
+    for before, after in zip(pings, recording, strict=True):
+        np.testing.assert_array_equal(after.ping.image, before.ping.image)
+        assert after.ping.time_s == before.ping.time_s
+        assert after.pose == before.pose
+        assert after.ping.geometry.mount == mount
+        assert after.ping.geometry.azimuth_fov_rad == pytest.approx(fan.azimuth_fov_rad)
+
+
+def test_the_turtles_columns_run_from_starboard_to_port_and_its_sonar_is_rolled() -> None:
+    """As the sonar rises, what it sees must sink: see docs/recordings.md."""
+    path = DATA / "holoocean_turtle.npz"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    pings = list(open_recording(path))
+    assert len(pings) == 60
+    heights, middles = [], []
+    for recorded in pings:
+        assert recorded.pose is not None
+        assert math.degrees(recorded.pose.roll_rad) == pytest.approx(90.0, abs=1e-3)
+        # the brightest part, from 1.5 to 1.7 m; the sonar's left is the world's up
+        near = recorded.ping.image[116:132].sum(axis=0)
+        azimuths = recorded.ping.geometry.beam_azimuths_rad
+        heights.append(recorded.pose.z_m)
+        middles.append(float(near @ azimuths / near.sum()))
+    slope = np.polyfit(heights, middles, 1)[0]
+    # a thing 1.6 m ahead sinks by 1/1.6 rad for each metre that the sonar rises
+    assert slope == pytest.approx(-1.0 / 1.6, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"images": np.zeros((2, 3), np.uint8)}, "images"),
+        ({"images": np.zeros((2, 3, 4), np.int64)}, "images"),
+        ({"range_max_m": 0.1}, "makes no sense"),
+        ({"range_max_m": np.array([1.0, 2.0])}, "not one number"),
+        ({"azimuth_deg": np.nan}, "not one number"),
+        ({"time_s": np.zeros(3)}, "time_s"),
+        ({"pose_body": np.zeros((2, 5))}, "pose_body"),
+        ({"pose_body": np.full((2, 6), np.nan)}, "not finite"),
+        ({"pose_sensor": np.zeros((2, 4, 4))}, "rigid"),
+        ({"pose_sensor": np.stack([np.diag([1.0, 1.0, -1.0, 1.0])] * 2)}, "mirrored"),
+        ({"pose_sensor": np.zeros((3, 4, 4))}, "one pose for each"),
+        ({"images": np.array([[[None]]])}, "damaged"),
+    ],
+)
+def test_archives_that_are_no_recording(
+    tmp_path: Path, change: dict[str, object], words: str
+) -> None:
+    good: dict[str, object] = {"images": np.zeros((2, 3, 4), np.uint8), **FAN}
+    np.savez(tmp_path / "r.npz", **(good | change))  # type: ignore[arg-type]
+    with pytest.raises(RecordingError, match=words):
+        list(open_recording(tmp_path / "r.npz"))
+
+
+def test_arrays_larger_than_memory_are_refused_before_they_are_made(tmp_path: Path) -> None:
+    honest = np.lib.format.header_data_from_array_1_0(np.zeros((1, 3, 4), np.uint8))
+    honest["shape"] = (1 << 30, 1000, 1000)
+    with (
+        zipfile.ZipFile(tmp_path / "r.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("images.npy", "w") as stream,
+    ):
+        np.lib.format.write_array_header_2_0(stream, honest)
+        stream.write(bytes(1 << 20))
+    with pytest.raises(RecordingError, match="does not fit into"):
+        open_recording(tmp_path / "r.npz")
+
+
+def test_a_missing_figure_is_taken_from_the_sonar_or_asked_for(tmp_path: Path) -> None:
+    np.savez(tmp_path / "r.npz", images=np.zeros((2, 3, 4), np.uint8))
+    with pytest.raises(RecordingError, match=r"no `range_min_m` .*--sonar"):
+        open_recording(tmp_path / "r.npz")
+    (recorded, _) = open_recording(tmp_path / "r.npz", Reading(SonarDevice(tilt_deg=10.0)))
+    assert recorded.ping.geometry.range_max_m == 12.825
+    assert recorded.ping.geometry.tilt_rad == pytest.approx(math.radians(10.0))
+
+
+def test_nothing_is_unpickled(tmp_path: Path) -> None:
+    (tmp_path / "p.pkl").write_bytes(b"\x80\x04\x95\x00")
+    with pytest.raises(RecordingError, match="pickle"):
+        open_recording(tmp_path / "p.pkl")
+
+
+@pytest.mark.parametrize("kind", ["png", "tif", "pgm"])
+def test_a_folder_of_images_with_a_pose_each(
+    tmp_path: Path, rng: np.random.Generator, kind: str
+) -> None:
+    images = samples.pixels(rng, 3, 8, 6)
+    samples.image_folder(tmp_path / "f", images, samples.tum_rows(3), kind=kind)
+    recording = open_recording(tmp_path / "f")
+    pings = list(recording)
+    assert not recording.timed and len(pings) == 3
+    np.testing.assert_allclose(pings[2].ping.image, images[2] / 255, atol=1e-6)
+    assert pings[2].pose is not None
+    assert pings[2].pose.yaw_rad == pytest.approx(math.pi / 2)
+    assert pings[0].ping.geometry.tilt_rad == pytest.approx(math.radians(15.0))
+
+
+def test_images_named_by_their_times_take_interpolated_poses(tmp_path: Path) -> None:
+    images = np.zeros((3, 8, 6), np.uint8)
+    samples.image_folder(tmp_path / "f", images, samples.tum_rows(5))
+    for number, time_s in enumerate((100.25, 101.5, 110.0)):
+        (tmp_path / "f" / f"{number:04d}.png").rename(tmp_path / "f" / f"{time_s}.png")
+    poses = [recorded.pose for recorded in open_recording(tmp_path / "f")]
+    assert poses[0] is not None and poses[0].x_m == pytest.approx(0.025)
+    assert poses[1] is not None and poses[1].x_m == pytest.approx(0.15)
+    assert poses[2] is None
+    late = open_recording(tmp_path / "f", Reading(clock_offset_s=1.0))
+    pose = next(iter(late)).pose
+    assert pose is not None and pose.x_m == pytest.approx(0.125)
+
+
+def test_folders_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no images"):
+        open_recording(tmp_path)
+    samples.image_folder(tmp_path / "f", np.zeros((2, 4, 4), np.uint8), samples.tum_rows(3))
+    with pytest.raises(RecordingError, match="needs as many poses"):
+        open_recording(tmp_path / "f")
+    (tmp_path / "f/poses.csv").unlink()
+    (tmp_path / "f/0001.png").write_bytes(b"\x89PNG\r\n")
+    with pytest.warns(RecordingWarning, match=r"0001\.png: damaged.*left out"):
+        assert len(list(open_recording(tmp_path / "f"))) == 1
+    (tmp_path / "f/sonar.toml").write_text("beams = 'many'")
+    with pytest.raises(ConfigError, match="beams"):
+        open_recording(tmp_path / "f")
+    (tmp_path / "f/sonar.toml").unlink()
+    with pytest.raises(RecordingError, match="--sonar"):
+        open_recording(tmp_path / "f")
+
+
+def test_a_sonar_is_named_or_described_in_a_file(tmp_path: Path) -> None:
+    assert named_device("park-2025").beams == 96
+    (tmp_path / "mine.toml").write_text("beams = 12\n")
+    assert named_device(str(tmp_path / "mine.toml")).name == "mine"
+    with pytest.raises(ConfigError, match=r"nor\.toml"):
+        named_device("nor.toml")
+
+
+def test_poses_turn_evenly_between_samples(rng: np.random.Generator) -> None:
+    turns = Rotation.random(4, rng=rng)
+    times = np.array([0.0, 1.0, 2.5, 3.0])
+    rows = np.column_stack([times, rng.normal(size=(4, 3)), turns.as_quat()])
+    track = PoseTrack(rows)
+    reference = Slerp(times, turns)
+    for time_s in rng.uniform(0.0, 3.0, 50):
+        pose = track.at(float(time_s))
+        assert pose is not None
+        np.testing.assert_allclose(
+            transform_from_pose(pose)[:3, :3], reference(time_s).as_matrix(), atol=1e-9
+        )
+        assert pose.x_m == pytest.approx(np.interp(time_s, times, rows[:, 1]))
+    assert track.at(-0.1) is None and track.at(3.1) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no poses"),
+        ("# only\n", "no poses"),
+        ("1 2 3\n", "3 numbers"),
+        ("1 2 3 4 0 0 0 x\n", "not a number"),
+        ("1 2 3 4 0 0 0 0\n", "quaternion 1"),
+        ("1 2 3 nan 0 0 0 1\n", "not finite"),
+        ("2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "go back"),
+    ],
+)
+def test_pose_files_that_are_none(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "p.txt").write_text(text)
+    with pytest.raises(RecordingError, match=words):
+        read_poses(tmp_path / "p.txt")
+    (tmp_path / "p.txt").write_text("time,x,y,z,qx,qy,qz,qw\n1,2,3,4,0,0,0,1\n")
+    assert read_poses(tmp_path / "p.txt").sample(0) == Pose(2.0, 3.0, 4.0)
+
+
+@given(
+    steps=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=40),
+    start=st.floats(-40.0, 40.0),
+)
+def test_every_beam_of_the_even_fan_is_the_devices_nearest(
+    steps: list[float], start: float
+) -> None:
+    bearings = np.radians(start + np.cumsum(steps))
+    fan = even_fan(-bearings, np.arange(1.0, 6.0), 0.2, Pose(0.0, 0.0, 0.0))
+    geometry = fan.geometry
+    azimuths = geometry.beam_azimuths_rad + geometry.mount.yaw_rad
+    numbers = fan.image(np.tile(np.arange(len(bearings), dtype=np.float32) / 100, (5, 1)))[0]
+    nearest = np.argmin(abs(azimuths[:, None] + bearings), axis=1)
+    distance = abs(azimuths[:, None] + bearings)
+    taken = np.round(numbers * 100).astype(int)
+    slack = np.take_along_axis(distance, taken[:, None], 1)[:, 0] - distance.min(axis=1)
+    even = fan.beams is None
+    assert slack.max() <= (0.1 * geometry.beam_rad if even else 1e-9)
+    assert (taken == nearest).mean() > 0.4
+
+
+def test_pixels_are_scaled_by_their_type() -> None:
+    assert unit_pixels(np.array([[65535]], np.uint16)).item() == 1.0
+    assert unit_pixels(np.array([[2.0, -1.0]])).tolist() == [[1.0, 0.0]]
+    with pytest.raises(ValueError, match="not a number"):
+        unit_pixels(np.array([[np.nan]]))

@@ -1,0 +1,183 @@
+"""A scan recorded: other programs read it, and the map made of it is the scan's, bit for bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from insonify.io.maps import save_map
+from insonify.io.recordings import messages, open_recording
+from insonify.io.recordings.mcap_writing import McapWriter
+from insonify.io.recordings.recording import Reading, RecordingWarning
+from insonify.io.recordings.scans import recording
+from insonify.mapping.bayes import MappingSettings
+from insonify.replay import map_recordings
+from insonify.runs import Run, execute
+from insonify.scenarios import scenario_config
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    folder = tmp_path_factory.mktemp("scan")
+    quick = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 6}}
+    with recording(folder) as record:
+        run = execute(scenario_config("tetrapod", [quick]), watch=record)
+    return run, folder / "recording.mcap"
+
+
+def test_the_map_of_the_recording_is_the_scans_own(scan: tuple[Run, Path], tmp_path: Path) -> None:
+    run, path = scan
+    replay = map_recordings([open_recording(path)], run.config.mapping)
+    save_map(run.mapper.voxels, tmp_path / "scan.npz")
+    save_map(replay.mapper.voxels, tmp_path / "replay.npz")
+    assert (tmp_path / "scan.npz").read_bytes() == (tmp_path / "replay.npz").read_bytes()
+    assert replay.fans == [run.config.sonar.geometry]
+
+
+def test_the_standard_messages_alone_make_nearly_the_same_map(scan: tuple[Run, Path]) -> None:
+    """Without our own topic: ranges in single precision, turns as quaternions, mount from TF."""
+    run, path = scan
+    for topic in ("/odometry", "/ground_truth/odometry"):
+        replay = map_recordings(
+            [open_recording(path, Reading(pose_topic=topic))], run.config.mapping
+        )
+        np.testing.assert_array_equal(replay.mapper.voxels.coords, run.mapper.voxels.coords)
+        differ = replay.mapper.voxels.log_odds != run.mapper.voxels.log_odds
+        assert differ.mean() < 1e-3
+
+
+def test_a_clock_offset_moves_the_pings_along_the_odometry(scan: tuple[Run, Path]) -> None:
+    run, path = scan
+    start, end = run.paths[0].waypoints[:2]
+    first = next(iter(open_recording(path, Reading(clock_offset_s=0.05))))
+    assert first.pose is not None
+    assert first.pose.x_m == pytest.approx((start.x_m + end.x_m) / 2)
+
+
+def test_plain_rosbags_reads_all_of_it(scan: tuple[Run, Path]) -> None:
+    run, path = scan
+    with AnyReader([path]) as reader:
+        kinds = {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
+        image: Any = None
+        frames: Any = None
+        for connection, _, raw in reader.messages():
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            if connection.topic == "/sonar/image" and image is None:
+                image = message
+            if connection.topic == "/tf_static":
+                frames = message
+        latched = {c.topic: c.ext.offered_qos_profiles[0].durability.name  # type: ignore[union-attr]
+                   for c in reader.connections}  # fmt: skip
+    assert {topic for topic, kind in latched.items() if kind == "TRANSIENT_LOCAL"} == {"/tf_static"}
+    pings, scans = run.pings, len(run.paths)
+    assert kinds == {
+        "/sonar/image": ("marine_acoustic_msgs/msg/ProjectedSonarImage", pings),
+        "/sonar/state": ("insonify_msgs/msg/PingState", pings),
+        "/sonar/polar": ("sensor_msgs/msg/Image", pings),
+        "/odometry": ("nav_msgs/msg/Odometry", pings),
+        "/ground_truth/odometry": ("nav_msgs/msg/Odometry", pings),
+        "/tf": ("tf2_msgs/msg/TFMessage", pings),
+        "/tf_static": ("tf2_msgs/msg/TFMessage", 1),
+        "/plan": ("nav_msgs/msg/Path", scans),
+        "/map/occupied": ("sensor_msgs/msg/PointCloud2", scans),
+    }
+    geometry = run.config.sonar.geometry
+    # the data lie range by range; the first beam is the port one, at negative y
+    assert image.image.dtype == 8 and image.image.beam_count == geometry.beams
+    pixels = image.image.data.view("<f4").reshape(geometry.bins, geometry.beams)
+    first = next(iter(open_recording(path)))
+    np.testing.assert_array_equal(pixels, first.ping.image)
+    assert image.beam_directions[0].y < 0.0 < image.beam_directions[-1].y
+    assert image.beam_directions[0].x == 0.0 < image.beam_directions[0].z
+    np.testing.assert_allclose(image.ranges, geometry.bin_ranges_m, rtol=1e-6)
+    assert image.ping_info.tx_beamwidths[0] == pytest.approx(geometry.elevation_fov_rad)
+    links = {(t.header.frame_id, t.child_frame_id) for t in frames.transforms}
+    assert links == {("map", "odom"), ("base_link", "sonar")}
+
+
+def test_vehicle_messages_come_back(tmp_path: Path) -> None:
+    head = messages.header(5, "imu")
+    turn = messages.new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    imu = messages.new(
+        "sensor_msgs/Imu", header=head, orientation=turn, orientation_covariance=np.zeros(9),
+        angular_velocity=messages.vector(1, 2, 3), angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=messages.vector(4, 5, 6), linear_acceleration_covariance=np.zeros(9),
+    )  # fmt: skip
+    four = np.ones(4, np.float32)
+    dvl = messages.new(
+        "marine_acoustic_msgs/Dvl", header=head, velocity_mode=1, dvl_type=0,
+        velocity=messages.vector(0.5, 0, 0), velocity_covar=np.zeros(9), altitude=3.0,
+        course_gnd=0.0, speed_gnd=0.5, num_good_beams=4, sound_speed=1500.0,
+        beam_ranges_valid=True, beam_velocities_valid=False,
+        beam_unit_vec=[messages.vector(0, 0, 1)] * 4, range=np.ones(4), range_covar=four,
+        beam_quality=four, beam_velocity=four, beam_velocity_covar=four,
+    )  # fmt: skip
+    with McapWriter(tmp_path / "v.mcap") as writer:
+        writer.write("/imu", imu, 5)
+        writer.write("/dvl", dvl, 6)
+    with AnyReader([tmp_path / "v.mcap"]) as reader:
+        back: list[Any] = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
+    assert back[0].linear_acceleration.z == 6.0
+    assert back[1].altitude == 3.0 and back[1].beam_unit_vec[3].z == 1.0
+
+
+def test_a_recording_cut_anywhere_is_read_up_to_its_last_whole_chunk(
+    scan: tuple[Run, Path], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    run, path = scan
+    raw = path.read_bytes()
+    counts = []
+    for end in sorted(rng.integers(len(raw) // 3, len(raw) - 100, 6)):
+        (tmp_path / "cut.mcap").write_bytes(raw[:end])
+        with pytest.warns(RecordingWarning, match="cut off"):
+            counts.append(len(list(open_recording(tmp_path / "cut.mcap"))))
+    assert counts == sorted(counts) and counts[0] > 0 and counts[-1] <= run.pings
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from insonify.io.recordings.scans import recording
+from insonify.mission import Mapped
+from insonify.runs import execute
+from insonify.scenarios import scenario_config
+with recording(Path(sys.argv[1])) as record:
+    def watch(run, step):
+        record(run, step)
+        if isinstance(step, Mapped) and run.pings == 30:
+            os.kill(os.getpid(), signal.SIGKILL)
+    quick = {"mapping": {"voxel_m": 0.25}}
+    execute(scenario_config("tetrapod", [quick]), watch=watch)
+"""
+
+
+def test_a_scan_killed_in_the_middle_leaves_a_recording_that_maps(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _KILLED, str(tmp_path)], env=os.environ, check=False
+    )
+    assert done.returncode == -signal.SIGKILL
+    with pytest.warns(RecordingWarning, match="cut off"):
+        replay = map_recordings(
+            [open_recording(tmp_path / "recording.mcap")], MappingSettings(voxel_m=0.25)
+        )
+    assert 20 <= replay.result()["pings"] <= 30
+    assert replay.result()["occupied_voxels"] > 0
+
+
+def test_same_scan_same_bytes(scan: tuple[Run, Path], tmp_path: Path) -> None:
+    run, path = scan
+    with recording(tmp_path) as record:
+        execute(run.config, watch=record)
+    assert (tmp_path / "recording.mcap").read_bytes() == path.read_bytes()
+    assert Counter(p.name for p in tmp_path.iterdir()) == Counter(
+        ["recording.mcap", "foxglove.json"]
+    )

@@ -1,0 +1,80 @@
+"""Paths for real vehicles: geodesy in closed form, and files that other programs read."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from insonify.errors import GeometryError
+from insonify.io.plans import Datum, heading_deg, save_plan
+from insonify.types import Pose, ScanPath
+
+PATH = ScanPath((Pose(0.0, 0.0, -15.0), Pose(100.0, 200.0, -15.0, yaw_rad=math.pi / 2)))
+DATUM = Datum(41.5, -71.3, 2.0)
+
+
+def test_metres_north_and_east_are_degrees_by_the_ellipsoids_radii() -> None:
+    a, f = 6378137.0, 1 / 298.257223563
+    e2 = f * (2 - f)
+    phi = math.radians(DATUM.latitude_deg)
+    w = 1 - e2 * math.sin(phi) ** 2
+    meridian, normal = a * (1 - e2) / w**1.5, a / math.sqrt(w)
+    latitude, longitude, height = DATUM.geodetic(PATH.waypoints[1])
+    assert latitude - 41.5 == pytest.approx(math.degrees(200.0 / meridian), rel=1e-4)
+    assert longitude + 71.3 == pytest.approx(
+        math.degrees(100.0 / (normal * math.cos(phi))), rel=1e-4
+    )
+    # the earth falls away beneath the tangent plane by d^2 / 2R
+    assert height == pytest.approx(2.0 - 15.0 + (100**2 + 200**2) / (2 * 6.37e6), abs=1e-4)
+
+
+@pytest.mark.parametrize(("yaw", "heading"), [(0, 90), (90, 0), (180, 270), (-90, 180)])
+def test_headings_are_clockwise_from_north(yaw: float, heading: float) -> None:
+    assert heading_deg(Pose(0, 0, 0, yaw_rad=math.radians(yaw))) == pytest.approx(heading)
+
+
+def test_every_file_says_the_same(tmp_path: Path) -> None:
+    names = save_plan(PATH, tmp_path, DATUM)
+    assert {p.name for p in tmp_path.iterdir()} == set(names)
+    assert set(names) == {"path.csv", "path.geojson", "path.mcap", "path.plan", "path.yaml"}
+    rows = list(csv.DictReader((tmp_path / "path.csv").read_text().splitlines()))
+    geo = json.loads((tmp_path / "path.geojson").read_text())
+    line = geo["features"][0]["geometry"]
+    assert line["type"] == "LineString" and len(line["coordinates"]) == 2
+    plan = json.loads((tmp_path / "path.plan").read_text())
+    items = plan["mission"]["items"]
+    assert [item["doJumpId"] for item in items] == [1, 2]
+    assert plan["mission"]["plannedHomePosition"] == [41.5, -71.3, 2.0]
+    for row, place, item in zip(rows, line["coordinates"], items, strict=True):
+        latitude, longitude = float(row["latitude_deg"]), float(row["longitude_deg"])
+        assert place[:2] == [pytest.approx(longitude), pytest.approx(latitude)]
+        assert item["params"][3] == pytest.approx(float(row["heading_deg"]))
+        assert item["params"][4:6] == [pytest.approx(latitude), pytest.approx(longitude)]
+        # QGroundControl counts height from home
+        assert item["params"][6] == item["Altitude"] == pytest.approx(place[2] - 2.0)
+    with AnyReader([tmp_path / "path.mcap"]) as reader:
+        ((connection, _, raw),) = list(reader.messages())
+        message: Any = reader.deserialize(raw, connection.msgtype)
+    spoken = json.loads((tmp_path / "path.yaml").read_text())
+    assert connection.msgtype == "nav_msgs/msg/Path"
+    for pose, told in zip(message.poses, spoken["poses"], strict=True):
+        assert pose.pose.position.x == told["pose"]["position"]["x"]
+        assert pose.pose.orientation.z == told["pose"]["orientation"]["z"]
+    assert message.poses[1].pose.orientation.z == pytest.approx(math.sqrt(0.5))
+
+
+def test_without_a_datum_nothing_geodetic_is_made_up(tmp_path: Path) -> None:
+    assert save_plan(PATH, tmp_path, None) == ["path.csv", "path.mcap", "path.yaml"]
+    assert "latitude" not in (tmp_path / "path.csv").read_text()
+
+
+@pytest.mark.parametrize("numbers", [(91.0, 0.0), (0.0, 181.0), (math.nan, 0.0)])
+def test_a_datum_lies_on_the_earth(numbers: tuple[float, float]) -> None:
+    with pytest.raises(GeometryError, match="datum"):
+        Datum(*numbers)
