@@ -147,6 +147,11 @@ class Run:
         )
         return transits + sum(path.length_m for path in self.paths)
 
+    def true_pose(self, believed: Pose) -> Pose:
+        """Where the sonar's carrier is now, which believes to be at a pose."""
+        craft = None if self.flight is None else self.flight.voyage.craft
+        return believed if craft is None else craft.true_pose
+
     def result(self) -> dict[str, Any]:
         """The run as one JSON-ready row."""
         last = self.history[-1]
@@ -324,8 +329,8 @@ def _note_ping(run: Run, step: Pinged) -> None:
         run.paths.append(ScanPath(()))
     done, count = len(run.paths[-1].waypoints), len(run.ahead.waypoints)
     run.paths[-1] = ScanPath((*run.paths[-1].waypoints, step.pose))
-    if run.flight is not None and run.flight.voyage.craft is not None:
-        run.flight.reference.integrate(step.ping, run.flight.voyage.craft.true_pose)
+    if run.flight is not None:
+        run.flight.reference.integrate(step.ping, run.true_pose(step.pose))
     if done in {count // 4, count // 2, (3 * count) // 4}:
         run.keyframes.append((len(run.paths), step.pose, step.ping))
 

@@ -141,7 +141,7 @@ def test_halving_the_step_divides_the_error_by_sixteen() -> None:
 def test_thrusters_lag_saturate_and_have_a_dead_band() -> None:
     vehicle = _vehicle()
     state = resting_state(vehicle, Pose(0.0, 0.0, -10.0))
-    command = np.array([100.0, -100.0, 0.4, 10.0, 0.0, 0.0])
+    command = np.array([100.0, -100.0, 0.19, 10.0, 0.0, 0.0])
     _drift(vehicle, state, 0.15, command=command)
     share = 1.0 - math.exp(-1.0)
     np.testing.assert_allclose(state[13:17], [40 * share, -40 * share, 0.0, 10 * share], rtol=1e-6)

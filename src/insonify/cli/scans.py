@@ -27,6 +27,13 @@ from insonify.cli.root import (
     single_layers,
     stderr,
 )
+from insonify.cli.vehicles import (
+    CurrentOption,
+    VehicleOption,
+    check_vehicle,
+    vehicle_table,
+    wall_clock,
+)
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -51,6 +58,16 @@ def scan(
         str | None, typer.Option(help="embree or opengl.", show_default=False)
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
+    vehicle: VehicleOption = None,
+    current: CurrentOption = None,
+    navigation: Annotated[
+        str | None,
+        typer.Option(help="The vehicle's: truth, or dvl (estimated).", show_default=False),
+    ] = None,
+    real_time: Annotated[
+        bool,
+        typer.Option("--real-time", help="Fly no faster than the clock on the wall."),
+    ] = False,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
@@ -65,8 +82,13 @@ def scan(
     from insonify.runs import execute
 
     table = _mesh_table(object_)
-    chosen = choices(planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table)
+    flown = vehicle_table(vehicle, current, navigation)
+    chosen = choices(
+        planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table, vehicle=flown
+    )
     full = configure(scenario, config, settings, chosen)
+    check_vehicle(full, current=current, navigation=navigation, real_time=real_time)
+    pace = wall_clock() if real_time else lambda time_s: None
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
     before = find_unfinished(folder, config_to_toml(full))
@@ -77,7 +99,13 @@ def scan(
             print(f"insonify: going on after the {known} pings of a scan that was broken off",
                   file=sys.stderr)  # fmt: skip
         with _progress() as show, recording(place.scratch) as record:
-            run = execute(full, remembered=past, watch=_both(show, record), should_stop=interrupted)
+            run = execute(
+                full,
+                remembered=past,
+                watch=_both(show, record),
+                should_stop=interrupted,
+                pace=pace,
+            )
         _write_results(run, place.scratch)
         (place.scratch / OWNER).unlink()
     if before is not None:
@@ -143,9 +171,12 @@ def _mesh_table(mesh: Path | None) -> Table | None:
 def _write_results(run: Run, folder: Path) -> None:
     from insonify.io.configs import config_to_toml
     from insonify.io.maps import save_map, save_point_cloud
+    from insonify.io.trajectories import save_track
     from insonify.report.html import write_report
 
     voxels = run.mapper.voxels
+    if run.flight is not None:
+        save_track(run.flight.track, folder / "trajectory.csv")
     text = json.dumps(run.result(), indent=2) + "\n"
     (folder / "result.json").write_text(text, encoding="utf-8")
     (folder / "config.toml").write_text(config_to_toml(run.config), encoding="utf-8")
@@ -212,6 +243,15 @@ def _print_result(result: dict[str, Any]) -> None:
             table.add_row(kind, match.replace("_", " "), *values)
     console = Console()
     console.print(table)
+    if "vehicle" in result:
+        flown, error = result["vehicle"], result["vehicle"]["pose_error"]
+        perfect = flown["metrics_at_true_poses"]["solid"]["exact"]["f1"]
+        console.print(
+            f"{flown['name']} flew {flown['time_s']:.0f} s; its position was off by "
+            f"{error['position_mean_m']:.2f} m in the mean, {error['position_max_m']:.2f} m at "
+            f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}.",
+            highlight=False,
+        )
     console.print(result["stop_reason"])
 
 

@@ -9,8 +9,8 @@ from insonify.types import Float64
 
 CONTROLLED = (0, 1, 2, 5)
 """Surge, sway, heave and yaw: a hovering vehicle leaves roll and pitch to its righting moment."""
-_RIDGE = 1e-6
-_SWEEPS = 400
+_RIDGE = 1e-4
+_SWEEPS = 4000
 
 
 class Allocator:

@@ -29,7 +29,7 @@ class ControlSettings(BaseModel):
     position_rad_s: float = Field(
         1.5, gt=0, le=5, description="natural frequency of surge, sway and heave"
     )
-    yaw_rad_s: float = Field(1.5, gt=0, le=5, description="natural frequency of yaw")
+    yaw_rad_s: float = Field(2.0, gt=0, le=5, description="natural frequency of yaw")
     integral_per_s: float = Field(0.4, ge=0, le=2, description="rate of integral action")
 
 
