@@ -5,6 +5,7 @@ import math
 import numpy as np
 import trimesh
 
+from insonify.frames import rotation_from_rpy
 from insonify.scene import Body, Scene
 from insonify.scene.sounding import hull_contact, sounder
 from insonify.types import Pose
@@ -14,7 +15,9 @@ def _slope() -> Scene:
     """A large plate through the origin, its normal 30 degrees off the vertical."""
     plate = trimesh.creation.box((100.0, 100.0, 0.2))
     plate.apply_translation([0.0, 0.0, -0.1])
-    plate.apply_transform(trimesh.transformations.rotation_matrix(math.radians(30), [0, 1, 0]))
+    turn = np.eye(4)
+    turn[:3, :3] = rotation_from_rpy(0.0, math.radians(30), 0.0)
+    plate.apply_transform(turn)
     return Scene((Body("plate", plate),))
 
 

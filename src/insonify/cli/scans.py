@@ -31,6 +31,7 @@ from insonify.cli.vehicles import (
     CurrentOption,
     VehicleOption,
     check_vehicle,
+    print_navigation,
     vehicle_table,
     wall_clock,
 )
@@ -125,37 +126,54 @@ def scan(
 def compare(
     names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
+    vehicle: VehicleOption = None,
+    current: CurrentOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the planners over seeds, beside the paper's Tables 2 and 3."""
-    from insonify.comparison import compare as compare_planners
-    from insonify.comparison import summarise
+    """Compare the planners over seeds, beside the paper's Tables 2 and 3.
 
+    With a vehicle: compare maps made by its own navigation with those of perfect navigation.
+    """
+    from insonify.comparison import compare as compare_planners
+    from insonify.comparison import compare_navigation, summarise, summarise_navigation
+
+    flown = vehicle_table(vehicle, current)
+    if vehicle is None and current is not None:
+        raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
+    runs, summary = (
+        (compare_planners, summarise)
+        if vehicle is None
+        else (compare_navigation, summarise_navigation)
+    )
     with interruptible() as interrupted, _progress() as watch:
-        layers = [*file_layers(config), *_compared(settings)]
-        rows = compare_planners(names, seeds, layers, watch=watch, should_stop=interrupted)
-    table = summarise(rows)
+        layers = [*file_layers(config), choices(vehicle=flown), *_compared(settings, vehicle)]
+        rows = runs(names, seeds, layers, watch=watch, should_stop=interrupted)
+    table = summary(rows)
     if not rows:
         print("insonify: interrupted before the first run was complete", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
     if as_json:
         print(json.dumps({"runs": rows, "table": table}, indent=2))
-    else:
+    elif vehicle is None:
         _print_comparison(table)
+    else:
+        print_navigation(table)
     if interrupted():
         print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-def _compared(settings: list[str] | None) -> list[Table]:
-    """Single settings of a comparison, which chooses planners and seeds itself."""
+def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
+    """Single settings of a comparison, which chooses planners or navigation, and seeds, itself."""
     layers = single_layers(settings)
     for layer in layers:
-        for key in ("planner", "seed"):
-            if key in layer:
-                raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+        if "seed" in layer or ("planner" in layer and vehicle is None):
+            key = "seed" if "seed" in layer else "planner"
+            raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+        if "navigation" in layer.get("vehicle", {}) and vehicle is not None:
+            raise ConfigError("compare runs both navigations; leave --set vehicle.navigation out")
     return layers
 
 

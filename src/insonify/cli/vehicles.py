@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -65,6 +65,29 @@ def wall_clock() -> Callable[[float], None]:
         time.sleep(max(0.0, begun[0] + time_s - now))
 
     return wait
+
+
+def print_navigation(table: dict[str, Any]) -> None:
+    """A comparison of navigations for people."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    console = Console()
+    for name, by in table.items():
+        view = RichTable(
+            "", "perfect navigation", "own navigation", "difference",
+            title=name, box=box.SIMPLE, padding=(0, 1, 0, 0),
+        )  # fmt: skip
+        for key in by["cost"]:
+            view.add_row(key, *(_spread(by[column][key]) for column in ("truth", "dvl", "cost")))
+        console.print(view)
+    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+
+
+def _spread(figure: dict[str, float | None]) -> str:
+    half = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
+    return f"{figure['mean']:.3f}{half}"
 
 
 def _velocity(text: str) -> list[float]:
