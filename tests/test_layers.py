@@ -26,6 +26,7 @@ LAYERS = [
     "evaluation",
     "scenarios",
     "simulation",
+    "tours",
     "runs",
     "comparison",
     "io",
