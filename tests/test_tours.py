@@ -152,6 +152,13 @@ def test_what_cannot_be_flown_is_refused(more: dict[str, Any], words: str) -> No
         _config(**more)
 
 
+def test_a_tour_needs_a_world_and_waypoints() -> None:
+    with pytest.raises(ConfigError, match="name a world"):
+        tour_config([{"waypoints": ROUTE}])
+    with pytest.raises(ConfigError, match="--waypoints"):
+        tour_config([{"world": "tank"}])
+
+
 def test_the_command_writes_images_and_the_true_pose_of_each_ping(tmp_path: Path) -> None:
     (tmp_path / "sonars.toml").write_text(
         '[[sonars]]\nname = "fls"\nrate_hz = 2\n'

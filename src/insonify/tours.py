@@ -110,6 +110,12 @@ def tour_config(layers: Iterable[Table]) -> Tour:
     table: Table = {"sonars": "flatfish"}
     for layer in layers:
         table = overlay(table, layer)
+    if "world" not in table:
+        raise ConfigError(
+            "name a world: an SDF world, a mesh, a scenario, tank, grid, or structures"
+        )
+    if "waypoints" not in table:
+        raise ConfigError('say where to fly: --waypoints "X Y Z HEADING; ..." or --path FILE')
     table["vehicle"] = {"name": "bluerov2"} | table.get("vehicle", {})
     if isinstance(table["sonars"], str):
         table["sonars"] = _suite(table["sonars"])

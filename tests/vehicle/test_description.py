@@ -11,6 +11,7 @@ from insonify.errors import ConfigError
 from insonify.vehicle.description import vehicle_named, vehicles
 from insonify.vehicle.dynamics import hydro
 
+DOCS = Path(__file__).resolve().parents[2] / "docs/vehicle.md"
 OWN = """
 size_m = [1.0, 0.5, 0.4]
 mass_kg = 50
@@ -19,7 +20,12 @@ inertia_kg_m2 = [3.0, 4.0, 4.0]
 centre_of_buoyancy_m = [0.0, 0.0, 0.02]
 added_mass = [10, 20, 30, 1, 1, 1]
 linear_damping = [10, 10, 10, 1, 1, 1]
-thrusters = [{ position_m = [0.1, 0.0, 0.0], max_n = 30 }]
+thrusters = [
+  { position_m = [0.1, 0.2, 0.0], max_n = 30 },
+  { position_m = [0.1, -0.2, 0.0], max_n = 30 },
+  { position_m = [0.0, 0.0, 0.0], yaw_deg = 90, max_n = 30 },
+  { position_m = [0.0, 0.0, 0.0], pitch_deg = -90, max_n = 30 },
+]
 """
 
 
@@ -57,7 +63,8 @@ def test_a_users_own_file(tmp_path: Path) -> None:
         (("mass_kg = 50", "mass_kg = 50\nbeam = 3"), ["beam", "not permitted"]),
         (("[3.0, 4.0, 4.0]", "[1.0, 4.0, 9.0]"), ["inertia", "sum of the other two"]),
         (("[10, 20, 30, 1, 1, 1]", "[10, 20]"), ["added_mass"]),
-        (("[{ position_m = [0.1, 0.0, 0.0], max_n = 30 }]", "[]"), ["thrusters", "at least 1"]),
+        (("[0.1, 0.2, 0.0], max_n = 30", "[0.1, 0.2, 0.0], max_n = 0"), ["thrusters.0.max_n"]),
+        (("pitch_deg = -90", "pitch_deg = 0"), ["4 thrusters cannot push", "heave"]),
         (("size_m =", "size_m"), ["cannot be read as TOML"]),
     ],
 )
@@ -71,6 +78,13 @@ def test_a_file_that_is_wrong_is_refused_in_one_sentence(
     for word in (str(path), *words):
         assert word in str(caught.value)
     assert "\n" not in str(caught.value).split("TOML")[0]
+
+
+def test_the_example_of_the_docs_is_a_vehicle(tmp_path: Path) -> None:
+    text = DOCS.read_text(encoding="utf-8")
+    path = tmp_path / "docs.toml"
+    path.write_text(text.split("```toml\n")[1].split("```")[0])
+    assert len(vehicle_named(str(path)).thrusters) == 5
 
 
 def test_unknown_names_and_missing_files() -> None:

@@ -114,6 +114,11 @@ class Craft:
         return pose_from_attitude(self._state[:3], self._state[3:7])
 
     @property
+    def true_state(self) -> Float64:
+        """Where it is and how it moves: a copy of the state of `dynamics`."""
+        return self._state.copy()
+
+    @property
     def true_velocity(self) -> Float64:
         """How it moves over ground, (3,) m/s, world frame."""
         velocity: Float64 = rotation_from_attitude(self._state[3:7]) @ self._state[7:10]

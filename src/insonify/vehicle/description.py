@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from insonify.errors import ConfigError
@@ -35,6 +37,14 @@ class Thruster(BaseModel):
     rotor_n_s2: NotNegative = Field(
         0.0, description="k in thrust = k w|w|, the lag then on w; 0: the lag is on the thrust"
     )
+
+
+def _reach(thruster: Thruster) -> tuple[float, float, float, float]:
+    """Surge, sway, heave and yaw moment of a unit thrust."""
+    yaw, pitch = math.radians(thruster.yaw_deg), math.radians(thruster.pitch_deg)
+    surge, sway = math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw)
+    x, y, _ = thruster.position_m
+    return surge, sway, -math.sin(pitch), x * sway - y * surge
 
 
 class VehicleDescription(BaseModel):
@@ -65,6 +75,16 @@ class VehicleDescription(BaseModel):
             raise ValueError(
                 f"inertia_kg_m2 {self.inertia_kg_m2}: no body has one moment larger than the sum "
                 "of the other two"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _can_be_steered(self) -> Self:
+        reach = np.array([_reach(thruster) for thruster in self.thrusters])
+        if np.linalg.matrix_rank(reach, tol=1e-6) < 4:
+            raise ValueError(
+                f"its {len(self.thrusters)} thrusters cannot push in surge, sway, heave and yaw "
+                "each by itself; add some, or turn some"
             )
         return self
 
