@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from sklearn.cluster import DBSCAN
 
+from benchmarks import navigation
 from benchmarks.measure import Row, machine, median_s, write
 from insonify.frames import directions_from_angles, world_from_sonar
 from insonify.mapping.bayes import BayesMapper
@@ -160,6 +161,20 @@ def planning() -> Iterator[Row]:
     yield Row("whole decision: entropy, clusters, gain", 1e3 * whole, "ms")
 
 
+def vehicle() -> Iterator[Row]:
+    """The whole loop of a vehicle, without rendering: 60 s under way over a rolling seabed."""
+    scene, start, _ = navigation.course()
+    end = Pose(start.x_m + 28.0, start.y_m, start.z_m)
+    seconds: list[float] = []
+
+    def fly() -> None:
+        seconds.append(navigation.voyage(scene, start, (end,), 0).time_s)
+
+    took_s = median_s(fly, 5)
+    label = "vehicle: dynamics, sensors, filter, control"
+    yield Row(label, seconds[-1] / took_s, "times real time", at_least=200)
+
+
 def commands() -> Iterator[Row]:
     """The commands as processes, start to end; the first run compiles and is not counted."""
     program = [sys.executable, "-m", "insonify"]
@@ -178,7 +193,7 @@ def commands() -> Iterator[Row]:
 def main() -> int:
     """Print the table; the exit code says whether every target is met."""
     rows: list[Row] = []
-    for group in (sonar, mapping, clusters, planning, commands):
+    for group in (sonar, mapping, clusters, planning, vehicle, commands):
         rows += group()
     table = Table("what", "measured", "target", "", title=machine())
     for row in rows:

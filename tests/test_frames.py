@@ -10,10 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from insonify.errors import GeometryError
 from insonify.frames import (
+    attitude_from_pose,
     compose,
     directions_from_angles,
+    pose_from_attitude,
     pose_from_transform,
     quaternion_from_rotation,
+    rotation_from_attitude,
     rotation_from_quaternion,
     rotation_from_rpy,
     slerp,
@@ -79,6 +82,16 @@ def test_beams_run_from_port_to_starboard() -> None:
     assert geometry.bin_m == pytest.approx(0.025)
     assert geometry.bin_ranges_m[0] == pytest.approx(0.0125)
     assert geometry.bin_ranges_m[-1] == pytest.approx(12.825 - 0.0125)
+
+
+@given(angle, angle, angle)
+def test_quaternions_turn_as_rotation_matrices_do(roll: float, pitch: float, yaw: float) -> None:
+    pose = Pose(1.0, 2.0, 3.0, roll, pitch / 2.1, yaw)
+    quaternion = attitude_from_pose(pose)
+    turn = rotation_from_rpy(roll, pitch / 2.1, yaw)
+    np.testing.assert_allclose(rotation_from_attitude(quaternion), turn, atol=1e-12)
+    back = pose_from_attitude(np.array([1.0, 2.0, 3.0]), quaternion)
+    np.testing.assert_allclose(transform_from_pose(back), transform_from_pose(pose), atol=1e-6)
 
 
 @given(angle, angle, angle)

@@ -21,10 +21,12 @@ LAYERS = [
     "sonar",
     "mapping",
     "planning",
+    "vehicle",
     "mission",
     "evaluation",
     "scenarios",
     "simulation",
+    "tours",
     "runs",
     "comparison",
     "io",
@@ -33,7 +35,7 @@ LAYERS = [
     "cli",
     "__main__",
 ]
-DECIDERS = ("mapping", "planning")
+DECIDERS = ("mapping", "planning", "vehicle")
 TRUTH = {"scene", "evaluation"}
 
 

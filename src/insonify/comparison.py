@@ -14,6 +14,7 @@ from insonify.runs import Run, execute
 from insonify.scenarios import PLANNERS, Table, scenario_config, scenarios
 
 SCORES = ("precision", "recall", "f1", "f2", "f3")
+NAVIGATION = ("truth", "dvl")
 Row = dict[str, Any]
 
 
@@ -87,6 +88,88 @@ def summarise(rows: Sequence[Row]) -> Row:
             }
             table[name][planner]["paper"] = scenarios()[name]["paper"][planner]
     return table
+
+
+def compare_navigation(
+    names: Sequence[str],
+    seeds: int,
+    layers: Iterable[Table],
+    *,
+    watch: Callable[[Run, Step], None] = lambda run, step: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> list[Row]:
+    """Fly every scenario and seed twice, by the truth and by the vehicle's own estimate.
+
+    Args:
+        names: Scenarios.
+        seeds: Seeds 0 to ``seeds - 1``.
+        layers: Settings on top of each scenario; they name the vehicle.
+        watch: Called after every step of every run.
+        should_stop: Asked during the runs; if true, the rows of the complete ones are returned.
+
+    Raises:
+        InsonifyError: A scenario or a setting is not usable.
+    """
+    layers = list(layers)
+    for name in names:
+        scenario_config(name, layers)
+    rows: list[Row] = []
+    for name in names:
+        for seed in range(seeds):
+            for navigation in NAVIGATION:
+                chosen = {"seed": seed, "vehicle": {"navigation": navigation}}
+                config = scenario_config(name, [*layers, chosen])
+                run = execute(config, watch=watch, should_stop=should_stop)
+                if should_stop():
+                    return rows
+                rows.append(run.result())
+    return rows
+
+
+def summarise_navigation(rows: Sequence[Row]) -> Row:
+    """What navigation by estimate costs, over the seeds.
+
+    Returns:
+        scenario -> "truth", "dvl" and "cost" -> figures, each {"mean", "ci95"} as in `summarise`;
+        the cost is the difference seed by seed.  The position error is the largest of a run.
+    """
+    table: Row = {}
+    for name in dict.fromkeys(row["scenario"] for row in rows):
+        by = {
+            navigation: {
+                row["seed"]: _flown(row)
+                for row in rows
+                if row["scenario"] == name and row["vehicle"]["navigation"] == navigation
+            }
+            for navigation in NAVIGATION
+        }
+        both = sorted(set(by["truth"]) & set(by["dvl"]))
+        if not both:
+            continue
+        keys = list(by["truth"][both[0]])
+        table[name] = {
+            navigation: {key: _interval([by[navigation][s][key] for s in both]) for key in keys}
+            for navigation in NAVIGATION
+        }
+        table[name]["cost"] = {
+            key: _interval([by["dvl"][s][key] - by["truth"][s][key] for s in both]) for key in keys
+        }
+    return table
+
+
+def _flown(row: Row) -> dict[str, float]:
+    """The figures of a flown run that a comparison shows."""
+    scores = {
+        f"{kind} f1, {match.replace('_', ' ')}": row["metrics"][kind][match]["f1"]
+        for kind in ("solid", "surface")
+        for match in ("exact", "within_one_voxel")
+    }
+    return scores | {
+        "position error, m": row["vehicle"]["pose_error"]["position_max_m"],
+        "scans": row["scans"],
+        "path, m": row["path_m"],
+        "time, s": row["vehicle"]["time_s"],
+    }
 
 
 def _interval(values: Sequence[float]) -> dict[str, float | None]:

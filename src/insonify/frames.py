@@ -105,6 +105,48 @@ def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Floa
     )
 
 
+def attitude_from_pose(pose: Pose) -> Float64:
+    """A pose's attitude as a unit quaternion ``world_from_body``, (4,), scalar first."""
+    cr, sr = math.cos(pose.roll_rad / 2), math.sin(pose.roll_rad / 2)
+    cp, sp = math.cos(pose.pitch_rad / 2), math.sin(pose.pitch_rad / 2)
+    cy, sy = math.cos(pose.yaw_rad / 2), math.sin(pose.yaw_rad / 2)
+    return np.array(
+        [
+            cy * cp * cr + sy * sp * sr,
+            cy * cp * sr - sy * sp * cr,
+            cy * sp * cr + sy * cp * sr,
+            sy * cp * cr - cy * sp * sr,
+        ]
+    )
+
+
+def rotation_from_attitude(attitude: Float64) -> Float64:
+    """Rotation matrix (3, 3) of a unit quaternion, scalar first."""
+    w, x, y, z = attitude
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pose_from_attitude(position_m: Float64, attitude: Float64) -> Pose:
+    """The pose of a position (3,) and an attitude ``world_from_body``, scalar first."""
+    w, x, y, z = (float(c) for c in attitude)
+    pitch_rad = math.asin(min(1.0, max(-1.0, 2 * (w * y - x * z))))
+    roll_rad = math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
+    yaw_rad = math.atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
+    east, north, up = (float(c) for c in position_m)
+    return Pose(east, north, up, roll_rad, pitch_rad, yaw_rad)
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle within half a turn of zero."""
+    return math.remainder(angle_rad, math.tau)
+
+
 def quaternion_from_rotation(rotation: Float64) -> Float64:
     """Unit quaternion (x, y, z, w), (4,), of a rotation matrix, with w not negative."""
     return np.asarray(Rotation.from_matrix(rotation).as_quat(canonical=True), np.float64)

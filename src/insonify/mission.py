@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 from insonify.errors import GeometryError
 from insonify.mapping.bayes import Mapper
+from insonify.mapping.voxels import VoxelMap
 from insonify.planning.decision import Decision, Planner, StopReason
 from insonify.types import Nav, Ping, Pose, ScanPath
 
@@ -52,25 +54,31 @@ class Ended:
 Step = Decided | Pinged | Mapped | Scanned | Ended
 
 
-def fly(
-    insonify: Callable[[Pose], Ping],
-    mapper: Mapper,
-    planner: Planner,
-    first_collision: Callable[[ScanPath], Pose | None],
-) -> Iterator[Step]:
-    """Scan until the planner stops.
+class Carrier(Protocol):
+    """What carries the sonar along a scan: a vehicle, or the mere thought of one."""
+
+    def carry(self, path: ScanPath, voxels: VoxelMap) -> Iterator[tuple[Pose, Ping] | StopReason]:
+        """Take the sonar to a scan and along it.
+
+        Yields:
+            Each ping with the pose at which it is believed to be taken; or, last, why the scan
+            ended before its end.
+        """
+
+
+def fly(carrier: Carrier, mapper: Mapper, planner: Planner) -> Iterator[Step]:
+    """Scan until the planner stops, or the carrier cannot go on.
 
     Args:
-        insonify: The sonar in its world: one ping from a vehicle pose.
+        carrier: The sonar in its world, and what takes it there.
         mapper: Builds the map.
         planner: Decides from the map alone.
-        first_collision: The world's answer to a path: where it would hit something, or None.
 
     Yields:
         One record a step, each as soon as the step is done.
 
     Raises:
-        GeometryError: The very first path runs into something.
+        GeometryError: The very first path cannot be flown.
     """
     nav = Nav(None, ())
     while True:
@@ -80,24 +88,52 @@ def fly(
             yield Ended(decision.stop)
             return
         assert decision.path is not None
-        hit = first_collision(_with_transit(nav, decision.path))
-        if hit is not None and not nav.scans:
-            raise GeometryError(collision_message(hit))
-        if hit is not None:
-            yield Ended(StopReason.OBSTACLE)
-            return
-        for pose in decision.path.waypoints:
-            ping = insonify(pose)  # sonar
+        pose = nav.pose
+        for sounding in carrier.carry(decision.path, mapper.voxels):
+            if isinstance(sounding, StopReason):
+                yield Ended(sounding)
+                return
+            pose, ping = sounding  # sonar
             yield Pinged(pose, ping)
             mapper.integrate(ping, pose)  # 3D occupancy map
             yield Mapped()
-        nav = Nav(decision.path.waypoints[-1], (*nav.scans, decision.path))
+        nav = Nav(pose, (*nav.scans, decision.path))
         yield Scanned(decision.path)
 
 
-def _with_transit(nav: Nav, path: ScanPath) -> ScanPath:
-    """A scan with the straight leg that leads to it."""
-    return path if nav.pose is None else ScanPath((nav.pose, *path.waypoints))
+class Teleport:
+    """No vehicle: the sonar is at each waypoint in turn, exactly (a `Carrier`)."""
+
+    def __init__(
+        self,
+        insonify: Callable[[Pose], Ping],
+        first_collision: Callable[[ScanPath], Pose | None],
+    ) -> None:
+        """Begin nowhere.
+
+        Args:
+            insonify: The sonar in its world: one ping from a vehicle pose.
+            first_collision: The world's answer to a path: where it would hit something, or None.
+        """
+        self._insonify, self._first_collision = insonify, first_collision
+        self._pose: Pose | None = None
+
+    def carry(self, path: ScanPath, voxels: VoxelMap) -> Iterator[tuple[Pose, Ping] | StopReason]:
+        """Ping at every waypoint, if the straight way there and along them is free.
+
+        Raises:
+            GeometryError: The very first path runs into something.
+        """
+        way = path if self._pose is None else ScanPath((self._pose, *path.waypoints))
+        hit = self._first_collision(way)
+        if hit is not None and self._pose is None:
+            raise GeometryError(collision_message(hit))
+        if hit is not None:
+            yield StopReason.OBSTACLE
+            return
+        for pose in path.waypoints:
+            yield pose, self._insonify(pose)
+        self._pose = path.waypoints[-1]
 
 
 def collision_message(hit: Pose) -> str:

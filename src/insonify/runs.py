@@ -24,6 +24,7 @@ from insonify.mission import (
     Pinged,
     Scanned,
     Step,
+    Teleport,
     collision_message,
     fly,
 )
@@ -31,7 +32,12 @@ from insonify.planning.baselines import FixedPlan, path_over_centre
 from insonify.planning.decision import Decision, Planner, StopReason
 from insonify.planning.entropy import entropy_map
 from insonify.scenarios import Config, World
+from insonify.scene.sounding import hull_contact, sounder
 from insonify.types import Float32, Ping, Pose, ScanPath
+from insonify.vehicle.craft import Track, pose_errors
+from insonify.vehicle.description import vehicle_named
+from insonify.vehicle.settings import TELEPORT
+from insonify.vehicle.voyage import Voyage
 
 BYTES_PER_AREA_VOXEL = 120
 """Working memory of planning and scoring, for each voxel of the designated area."""
@@ -62,6 +68,34 @@ class Snapshot:
 
 
 @dataclass(slots=True, eq=False)
+class Flight:
+    """What a run flown by a vehicle leaves behind, besides.
+
+    Attributes:
+        voyage: The vehicle under way.
+        reference: The same pings mapped at the true poses: what pose error costs.
+    """
+
+    voyage: Voyage
+    reference: Mapper
+
+    @property
+    def track(self) -> Track:
+        """Where it was, believed to be and was meant to be."""
+        return self.voyage.craft.track if self.voyage.craft is not None else Track()
+
+    def result(self, truth: GroundTruth) -> dict[str, Any]:
+        """As a part of the run's row."""
+        return {
+            "name": self.voyage.vehicle.name,
+            "navigation": self.voyage.settings.navigation,
+            "time_s": self.track.moments[-1].time_s if self.track.moments else 0.0,
+            "pose_error": pose_errors(self.track),
+            "metrics_at_true_poses": score_map(self.reference.voxels, truth),
+        }
+
+
+@dataclass(slots=True, eq=False)
 class Run:
     """Everything a run leaves behind.
 
@@ -77,8 +111,9 @@ class Run:
         keyframes: Some pings of each scan, for pictures.
         history: One entry a scan.
         stop_reason: Why it ended.
-        seconds: Wall time of setup, sonar, mapping and planning.
+        seconds: Wall time of setup, sonar, mapping and planning; flying counts as sonar.
         noise: What the images' noise is drawn from, as it stands.
+        flight: What the vehicle did, if there was one.
     """
 
     config: Config
@@ -94,6 +129,7 @@ class Run:
     stop_reason: StopReason = StopReason.INTERRUPTED
     seconds: dict[str, float] = field(default_factory=dict)
     noise: np.random.Generator = field(default_factory=np.random.default_rng)
+    flight: Flight | None = None
 
     @property
     def pings(self) -> int:
@@ -102,16 +138,24 @@ class Run:
 
     @property
     def path_m(self) -> float:
-        """Length flown, straight transits between the scans included."""
+        """Length flown, transits between the scans included; straight ones without a vehicle."""
+        if self.flight is not None:
+            return self.flight.track.length_m
         transits = sum(
             math.dist(a.waypoints[-1].position_m, b.waypoints[0].position_m)
             for a, b in zip(self.paths, self.paths[1:], strict=False)
         )
         return transits + sum(path.length_m for path in self.paths)
 
+    def true_pose(self, believed: Pose) -> Pose:
+        """Where the sonar's carrier is now, which believes to be at a pose."""
+        craft = None if self.flight is None else self.flight.voyage.craft
+        return believed if craft is None else craft.true_pose
+
     def result(self) -> dict[str, Any]:
         """The run as one JSON-ready row."""
         last = self.history[-1]
+        flown = {} if self.flight is None else {"vehicle": self.flight.result(self.truth)}
         return {
             "scenario": self.config.scenario,
             "planner": self.planner,
@@ -133,7 +177,7 @@ class Run:
                 for entry in self.history
             ],
             "seconds": {name: round(value, 3) for name, value in self.seconds.items()},
-        }
+        } | flown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +196,7 @@ def execute(
     remembered: Iterable[Remembered] = (),
     watch: Callable[[Run, Step], None] = lambda run, step: None,
     should_stop: Callable[[], bool] = lambda: False,
+    pace: Callable[[float], None] = lambda time_s: None,
 ) -> Run:
     """Fly a mission to its end and score it.
 
@@ -161,6 +206,7 @@ def execute(
         remembered: The first pings of the same run, broken off before; they are not made again.
         watch: Called after every step, for progress or recording.
         should_stop: Asked after every ping; if true the run ends there, scored as it stands.
+        pace: Called with a vehicle's time as it goes on; it may wait.
 
     Raises:
         InsonifyError: The config does not make a world that can be scanned.
@@ -170,17 +216,16 @@ def execute(
     _check_memory(world)
     mapper = BayesMapper(config.mapping)
     planner = planner or world.planner()
-    _check_plan(world, planner)
-    truth = ground_truth(world.scene, world.body, config.mapping.voxel_m)
     rng = np.random.default_rng([config.seed, 2])
+    carrier = _carrier(world, _sonar(world, rng, remembered), pace)
+    if isinstance(carrier, Teleport):
+        _check_plan(world, planner)
+    truth = ground_truth(world.scene, world.body, config.mapping.voxel_m)
     run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=rng)
+    if isinstance(carrier, Voyage):
+        run.flight = Flight(carrier, BayesMapper(config.mapping))
     clock.lap("setup")
-    mission = fly(
-        _sonar(world, rng, remembered),
-        mapper,
-        planner,
-        lambda path: world.scene.first_collision(path, config.survey.clearance_m),
-    )
+    mission = fly(carrier, mapper, planner)
     for step in _timed(mission, clock):
         _note(run, step)
         watch(run, step)
@@ -191,17 +236,41 @@ def execute(
     return run
 
 
+def _carrier(
+    world: World, insonify: Callable[[Pose, Pose], Ping], pace: Callable[[float], None]
+) -> Teleport | Voyage:
+    """What carries the sonar: the vehicle that the config names, or none."""
+    config, scene = world.config, world.scene
+    clearance_m = config.survey.clearance_m
+    if config.vehicle.name == TELEPORT:
+        return Teleport(
+            lambda pose: insonify(pose, pose),
+            lambda path: scene.first_collision(path, clearance_m),
+        )
+    vehicle = vehicle_named(config.vehicle.name)
+    return Voyage(
+        vehicle,
+        config.vehicle,
+        clearance_m,
+        insonify,
+        sounder(scene),
+        hull_contact(scene, vehicle.radius_m),
+        np.random.default_rng([config.seed, 3]),
+        pace,
+    )
+
+
 def _sonar(
     world: World, rng: np.random.Generator, remembered: Iterable[Remembered]
-) -> Callable[[Pose], Ping]:
-    """The sonar in its world, after what is remembered of it."""
+) -> Callable[[Pose, Pose], Ping]:
+    """The sonar in its world, after what is remembered of it: from a true and a believed pose."""
     memory = iter(remembered)
 
-    def insonify(pose: Pose) -> Ping:
+    def insonify(true: Pose, believed: Pose) -> Ping:
         past = next(memory, None)
         if past is None:
-            return world.sonar.ping(world.scene, pose, rng)
-        if past.pose != pose:
+            return world.sonar.ping(world.scene, true, rng)
+        if past.pose != believed:
             raise GeometryError(
                 "the scan that was broken off went another way than this one does; it was made by "
                 "another version of insonify, so delete its recording and scan anew"
@@ -259,7 +328,9 @@ def _note_ping(run: Run, step: Pinged) -> None:
     if not run.paths or len(run.paths) == len(run.history):
         run.paths.append(ScanPath(()))
     done, count = len(run.paths[-1].waypoints), len(run.ahead.waypoints)
-    run.paths[-1] = ScanPath(run.ahead.waypoints[: done + 1])
+    run.paths[-1] = ScanPath((*run.paths[-1].waypoints, step.pose))
+    if run.flight is not None:
+        run.flight.reference.integrate(step.ping, run.true_pose(step.pose))
     if done in {count // 4, count // 2, (3 * count) // 4}:
         run.keyframes.append((len(run.paths), step.pose, step.ping))
 

@@ -33,6 +33,7 @@ from insonify.sonar.devices import Kind, SonarDevice, sonar_preset
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Box
+from insonify.vehicle.settings import VehicleSettings
 
 MOST_SEABED_CELLS = 16_000_000
 MOST_RAYS = 20_000_000
@@ -114,6 +115,7 @@ class Config(_Settings):
     image: ImageSettings = ImageSettings()
     mapping: MappingSettings = MappingSettings()
     entropy: EntropySettings = EntropySettings()
+    vehicle: VehicleSettings = VehicleSettings()
 
 
 @cache
@@ -149,7 +151,7 @@ def scenario_config(name: str, layers: Iterable[Table] = ()) -> Config:
 
 
 def read_config(path: Path) -> Table:
-    """A config file as one layer of settings; a mesh path in it is relative to the file.
+    """A config file as one layer of settings; a path in it is relative to the file.
 
     Raises:
         ConfigError: The file is missing or not TOML.
@@ -160,7 +162,7 @@ def read_config(path: Path) -> Table:
         raise ConfigError(f"{path}: there is no such config file; check the path") from err
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
         raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
-    for section, key in (("object", "mesh"), ("seabed", "raster")):
+    for section, key in (("object", "mesh"), ("seabed", "raster"), ("vehicle", "name")):
         inner = table.get(section)
         if isinstance(inner, dict) and isinstance(inner.get(key), str):
             beside = path.parent / inner[key]

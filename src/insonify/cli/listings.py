@@ -55,6 +55,32 @@ def sonars(as_json: JsonOption = False) -> None:
         print(textwrap.fill(about, 88, initial_indent="    ", subsequent_indent="    "))
 
 
+@app.command()
+def vehicles(as_json: JsonOption = False) -> None:
+    """List the vehicles known by name."""
+    from insonify.vehicle.description import vehicle_named
+    from insonify.vehicle.description import vehicles as known
+
+    rows = [
+        vehicle_named(name).model_dump(mode="json") | {"source": table["source"]}
+        for name, table in known().items()
+    ]
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    cells = [
+        [
+            row["name"],
+            f"{row['mass_kg']:g}",
+            " x ".join(f"{edge:g}" for edge in row["size_m"]),
+            str(len(row["thrusters"])),
+            row["source"],
+        ]
+        for row in rows
+    ]
+    print_listing(["name", "mass, kg", "size, m", "thrusters", "source"], cells)
+
+
 @app.command("config")
 def show_config(
     scenario: ScenarioArgument,

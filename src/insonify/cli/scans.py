@@ -27,6 +27,14 @@ from insonify.cli.root import (
     single_layers,
     stderr,
 )
+from insonify.cli.vehicles import (
+    CurrentOption,
+    VehicleOption,
+    check_vehicle,
+    print_navigation,
+    vehicle_table,
+    wall_clock,
+)
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -51,6 +59,16 @@ def scan(
         str | None, typer.Option(help="embree or opengl.", show_default=False)
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
+    vehicle: VehicleOption = None,
+    current: CurrentOption = None,
+    navigation: Annotated[
+        str | None,
+        typer.Option(help="The vehicle's: truth, or dvl (estimated).", show_default=False),
+    ] = None,
+    real_time: Annotated[
+        bool,
+        typer.Option("--real-time", help="Fly no faster than the clock on the wall."),
+    ] = False,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
@@ -65,8 +83,13 @@ def scan(
     from insonify.runs import execute
 
     table = _mesh_table(object_)
-    chosen = choices(planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table)
+    flown = vehicle_table(vehicle, current, navigation)
+    chosen = choices(
+        planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table, vehicle=flown
+    )
     full = configure(scenario, config, settings, chosen)
+    check_vehicle(full, current=current, navigation=navigation, real_time=real_time)
+    pace = wall_clock() if real_time else lambda time_s: None
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
     before = find_unfinished(folder, config_to_toml(full))
@@ -77,7 +100,13 @@ def scan(
             print(f"insonify: going on after the {known} pings of a scan that was broken off",
                   file=sys.stderr)  # fmt: skip
         with _progress() as show, recording(place.scratch) as record:
-            run = execute(full, remembered=past, watch=_both(show, record), should_stop=interrupted)
+            run = execute(
+                full,
+                remembered=past,
+                watch=_both(show, record),
+                should_stop=interrupted,
+                pace=pace,
+            )
         _write_results(run, place.scratch)
         (place.scratch / OWNER).unlink()
     if before is not None:
@@ -97,37 +126,54 @@ def scan(
 def compare(
     names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
+    vehicle: VehicleOption = None,
+    current: CurrentOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare the planners over seeds, beside the paper's Tables 2 and 3."""
-    from insonify.comparison import compare as compare_planners
-    from insonify.comparison import summarise
+    """Compare the planners over seeds, beside the paper's Tables 2 and 3.
 
+    With a vehicle: compare maps made by its own navigation with those of perfect navigation.
+    """
+    from insonify.comparison import compare as compare_planners
+    from insonify.comparison import compare_navigation, summarise, summarise_navigation
+
+    flown = vehicle_table(vehicle, current)
+    if vehicle is None and current is not None:
+        raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
+    runs, summary = (
+        (compare_planners, summarise)
+        if vehicle is None
+        else (compare_navigation, summarise_navigation)
+    )
     with interruptible() as interrupted, _progress() as watch:
-        layers = [*file_layers(config), *_compared(settings)]
-        rows = compare_planners(names, seeds, layers, watch=watch, should_stop=interrupted)
-    table = summarise(rows)
+        layers = [*file_layers(config), choices(vehicle=flown), *_compared(settings, vehicle)]
+        rows = runs(names, seeds, layers, watch=watch, should_stop=interrupted)
+    table = summary(rows)
     if not rows:
         print("insonify: interrupted before the first run was complete", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
     if as_json:
         print(json.dumps({"runs": rows, "table": table}, indent=2))
-    else:
+    elif vehicle is None:
         _print_comparison(table)
+    else:
+        print_navigation(table)
     if interrupted():
         print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-def _compared(settings: list[str] | None) -> list[Table]:
-    """Single settings of a comparison, which chooses planners and seeds itself."""
+def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
+    """Single settings of a comparison, which chooses planners or navigation, and seeds, itself."""
     layers = single_layers(settings)
     for layer in layers:
-        for key in ("planner", "seed"):
-            if key in layer:
-                raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+        if "seed" in layer or ("planner" in layer and vehicle is None):
+            key = "seed" if "seed" in layer else "planner"
+            raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+        if "navigation" in layer.get("vehicle", {}) and vehicle is not None:
+            raise ConfigError("compare runs both navigations; leave --set vehicle.navigation out")
     return layers
 
 
@@ -143,9 +189,12 @@ def _mesh_table(mesh: Path | None) -> Table | None:
 def _write_results(run: Run, folder: Path) -> None:
     from insonify.io.configs import config_to_toml
     from insonify.io.maps import save_map, save_point_cloud
+    from insonify.io.trajectories import save_track
     from insonify.report.html import write_report
 
     voxels = run.mapper.voxels
+    if run.flight is not None:
+        save_track(run.flight.track, folder / "trajectory.csv")
     text = json.dumps(run.result(), indent=2) + "\n"
     (folder / "result.json").write_text(text, encoding="utf-8")
     (folder / "config.toml").write_text(config_to_toml(run.config), encoding="utf-8")
@@ -212,6 +261,15 @@ def _print_result(result: dict[str, Any]) -> None:
             table.add_row(kind, match.replace("_", " "), *values)
     console = Console()
     console.print(table)
+    if "vehicle" in result:
+        flown, error = result["vehicle"], result["vehicle"]["pose_error"]
+        perfect = flown["metrics_at_true_poses"]["solid"]["exact"]["f1"]
+        console.print(
+            f"{flown['name']} flew {flown['time_s']:.0f} s; its position was off by "
+            f"{error['position_mean_m']:.2f} m in the mean, {error['position_max_m']:.2f} m at "
+            f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}.",
+            highlight=False,
+        )
     console.print(result["stop_reason"])
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import tomlkit
 from pydantic import BaseModel
-from tomlkit.items import Table
+from tomlkit.items import AoT, Table
 
 from insonify.scenarios import Config
 from insonify.simulation import Simulation
+from insonify.tours import Tour
 
 
 def config_to_toml(config: Config) -> str:
@@ -18,6 +19,11 @@ def config_to_toml(config: Config) -> str:
 def simulation_to_toml(config: Simulation) -> str:
     """The settings of a simulation, each with its meaning; ``--config`` takes them back."""
     return _commented(config, "A simulation", "insonify simulate --config THIS_FILE")
+
+
+def tour_to_toml(config: Tour) -> str:
+    """The settings of a tour, each with its meaning; ``--config`` takes them back."""
+    return _commented(config, "A tour", "insonify fly --config THIS_FILE")
 
 
 def _commented(settings: BaseModel, what: str, command: str) -> str:
@@ -44,10 +50,23 @@ def _fill(into: tomlkit.TOMLDocument | Table, settings: BaseModel) -> None:
             into.add(tomlkit.nl())
             into.add(name, table)
             continue
+        if isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            into.add(name, _tables(value))
+            continue
         item = tomlkit.item(_plain(value))
         if field.description:
             item.comment(field.description)
         into.add(name, item)
+
+
+def _tables(rows: tuple[BaseModel, ...]) -> AoT:
+    """Settings of several things, each a table of an array."""
+    tables = tomlkit.aot()
+    for row in rows:
+        table = tomlkit.table()
+        _fill(table, row)
+        tables.append(table)
+    return tables
 
 
 def _plain(value: object) -> object:

@@ -20,6 +20,12 @@ class StopReason(Enum):
     PLAN_FLOWN = "All planned scans are flown."
     SCAN_LIMIT = "The limit on the number of scans was reached."
     OBSTACLE = "The next scan path runs into the object or the seabed."
+    NO_WAY = "A mapped obstacle bars the way, and no way round it was found."
+    COLLISION = "The vehicle ran into the object or the seabed."
+    TOO_SLOW = "The vehicle could not keep to its path: the current or the load is too strong."
+    LOST = "The vehicle no longer knows where it is: its position is too uncertain."
+    IMU_FAILED = "The IMU gives no numbers, and the vehicle cannot navigate without it."
+    SILENT = "The sonar has fallen silent."
     INTERRUPTED = "The user interrupted the mission."
 
 

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 
 from insonify.io.configs import config_to_toml
-from insonify.report import pictures
+from insonify.report import flights, pictures
 from insonify.report.fans import draw_fan
 from insonify.runs import Run
 from insonify.types import Array, Bool, Float64
@@ -29,6 +29,7 @@ def write_report(run: Run, path: Path) -> None:
         result=run.result(),
         area=run.world.area,
         trajectory=_embed(pictures.draw_trajectory(run)),
+        flight=_flight(run),
         decisions=[
             {"after": after, "snapshot": snapshot, "image": _embed(image)}
             for after, snapshot, image in _decisions(run)
@@ -41,6 +42,17 @@ def write_report(run: Run, path: Path) -> None:
         plotly=plotly.read_text(encoding="utf-8"),
     )
     path.write_text(page, encoding="utf-8")
+
+
+def _flight(run: Run) -> dict[str, Any] | None:
+    """The pictures of a flight, if there was one."""
+    if run.flight is None or not run.flight.track.moments:
+        return None
+    moments = run.flight.track.moments
+    return {
+        "tracks": _embed(flights.draw_tracks(run, moments)),
+        "errors": _embed(flights.draw_pose_errors(moments)),
+    }
 
 
 def _decisions(run: Run) -> list[tuple[int, Any, bytes]]:

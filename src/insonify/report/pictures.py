@@ -48,6 +48,13 @@ def draw_trajectory(run: Run) -> bytes:
     return png(figure)
 
 
+def draw_ground(axes: Axes, run: Run) -> None:
+    """What every picture from above shows: the object's outline and the designated area."""
+    _draw_outline(axes, run.truth)
+    _draw_region(axes, run.world.area)
+    _map_axes(axes)
+
+
 def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
     """The entropy map after a scan, with C_max and the candidates and what each would see."""
     figure = Figure(figsize=(10.2, 5.0))

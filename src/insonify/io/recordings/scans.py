@@ -70,11 +70,12 @@ class ScanRecorder:
         link = ("odom", "base_link", transform_from_pose(pose))
         self._write("/tf", messages.transforms([link], now))
         self._write(ESTIMATE, messages.odometry(pose, now, "odom"))
-        self._write(TRUTH, messages.odometry(pose, now, "map"))
+        truth = run.true_pose(pose)
+        self._write(TRUTH, messages.odometry(truth, now, "map"))
         frequency_hz = 1e3 * run.config.sonar.frequency_khz
         image = messages.sonar_image(ping, now, "sonar", frequency_hz, SOUND_SPEED_MPS)
         words = messages.words_from_generator(run.noise)
-        self._write(STATES, messages.ping_state(ping, pose, pose, words, now, "sonar"))
+        self._write(STATES, messages.ping_state(ping, pose, truth, words, now, "sonar"))
         self._write(IMAGES, image)
         self._write(PICTURES, messages.polar_picture(ping, now, "sonar"))
 

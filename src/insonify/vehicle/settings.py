@@ -1,0 +1,48 @@
+"""All settings of a vehicle in a mission."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from insonify.vehicle.control import ControlSettings
+from insonify.vehicle.currents import CurrentSettings
+from insonify.vehicle.guidance import GuidanceSettings
+from insonify.vehicle.sensors import SensorSettings
+
+TELEPORT = "none"
+
+
+class FaultSettings(BaseModel):
+    """A sensor that fails in mid-mission."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    sensor: Literal["none", "dvl", "imu", "sonar"] = Field(
+        "none", description="dvl: no bottom lock; imu: no numbers; sonar: silent"
+    )
+    at_s: float = Field(0.0, ge=0, le=1e7, description="from this time on")
+
+
+class VehicleSettings(BaseModel):
+    """The vehicle that flies the scans, or none."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str = Field(
+        TELEPORT, min_length=1, description="none (poses are taken as flown), a vehicle, or a file"
+    )
+    navigation: Literal["truth", "dvl"] = Field(
+        "dvl", description="where it believes it is: the truth, or a filter on its sensors"
+    )
+    ping_hz: float = Field(2.0, gt=0, le=20, description="the sonar's rate")
+    lost_m: float = Field(
+        2.0, gt=0, le=1000, description="stop when the position's standard deviation exceeds it"
+    )
+    density_kg_m3: float = Field(1025.0, gt=900, lt=1200, description="of the water")
+    current: CurrentSettings = CurrentSettings()
+    guidance: GuidanceSettings = GuidanceSettings()
+    control: ControlSettings = ControlSettings()
+    sensors: SensorSettings = SensorSettings()
+    fault: FaultSettings = FaultSettings()
