@@ -10,7 +10,7 @@ from insonify.types import Float64
 CONTROLLED = (0, 1, 2, 5)
 """Surge, sway, heave and yaw: a hovering vehicle leaves roll and pitch to its righting moment."""
 _RIDGE = 1e-4
-_SWEEPS = 4000
+_ROUNDS = 100
 
 
 class Allocator:
@@ -52,25 +52,42 @@ class Allocator:
 
 @kernel
 def _bounded(normal: Float64, target: Float64, largest: Float64, start: Float64) -> Float64:
-    """Minimise f' N f / 2 - t' f within bounds, one thrust at a time until none moves.
+    """Minimise f' N f / 2 - t' f within bounds by active sets.
 
-    Each step is the exact minimum along one axis; on a strictly convex quadratic with bounds that
-    converges to the minimum.
+    Thrusters that are free move together to their exact minimum, or until one of them meets its
+    bound and stays there; a bound thruster whose slope points inwards is set free again.  The cost
+    falls with every round, so no set of bounds comes twice and the last one is the minimum.
     """
     count = len(target)
-    thrusts = np.empty(count)
-    for i in range(count):
-        thrusts[i] = min(largest[i], max(-largest[i], start[i]))
-    for _ in range(_SWEEPS):
-        moved = 0.0
+    thrusts = np.minimum(largest, np.maximum(-largest, start))
+    bound = np.abs(thrusts) >= largest
+    for _ in range(_ROUNDS):
+        slope = normal @ thrusts - target
+        system, right = normal.copy(), -slope
         for i in range(count):
-            slope = -target[i]
-            for j in range(count):
-                slope += normal[i, j] * thrusts[j]
-            wanted = thrusts[i] - slope / normal[i, i]
-            wanted = min(largest[i], max(-largest[i], wanted))
-            moved = max(moved, abs(wanted - thrusts[i]))
-            thrusts[i] = wanted
-        if moved < 1e-9:
+            if bound[i]:
+                system[i, :] = 0.0
+                system[:, i] = 0.0
+                system[i, i] = 1.0
+                right[i] = 0.0
+        step = np.linalg.solve(system, right)
+        part, first = 1.0, -1
+        for i in range(count):
+            if not bound[i] and abs(thrusts[i] + step[i]) > largest[i]:
+                room = (largest[i] - np.sign(step[i]) * thrusts[i]) / abs(step[i])
+                if room < part:
+                    part, first = room, i
+        thrusts = thrusts + part * step
+        if first >= 0:
+            thrusts[first] = np.sign(step[first]) * largest[first]
+            bound[first] = True
+            continue
+        slope = normal @ thrusts - target
+        inward, most = -1, 1e-9 * np.abs(target).max()
+        for i in range(count):
+            if bound[i] and slope[i] * np.sign(thrusts[i]) > most:
+                inward, most = i, slope[i] * np.sign(thrusts[i])
+        if inward < 0:
             break
+        bound[inward] = False
     return thrusts
