@@ -68,7 +68,8 @@ def even_fan(
     if not 0.0 < elevation_fov_rad <= np.pi:
         raise ValueError(f"the beams are {np.degrees(elevation_fov_rad):.4g} degrees high")
     middle = 0.5 * (left + right)
-    if abs(middle) > EVEN * (left - right) / len(azimuths_rad):
+    spare = EVEN * (left - right) / len(azimuths_rad) if beams is None else 1e-12
+    if abs(middle) > spare:
         mount = compose(mount, Pose(0.0, 0.0, 0.0, yaw_rad=middle))
     geometry = FanGeometry(
         azimuth_fov_rad=left - right,
