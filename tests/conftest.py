@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from insonify.types import Float32, Float64, Pose
 from insonify.vehicle.craft import Craft
 from insonify.vehicle.description import vehicle_named
 from insonify.vehicle.settings import VehicleSettings
+
+settings.register_profile("same", derandomize=True)  # the same examples on every machine
+settings.load_profile("same")
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
