@@ -33,6 +33,7 @@ check: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.simulator
 
 clean:
 	rm -rf $(VENV) build insonify-runs
