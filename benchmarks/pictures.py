@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.ndimage import minimum_filter, uniform_filter
 
 from insonify.io.recordings import open_recording
 from insonify.report.fans import INK, draw_fan, fan_pixels, png
@@ -23,7 +24,7 @@ from insonify.sonar.camera import Camera
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.physical import PhysicalSettings
-from insonify.types import Float64, Ping, Pose
+from insonify.types import Float32, Float64, Ping, Pose
 
 FOLDER = Path("docs/images")
 RECORDINGS = Path("../shared/data/recordings")
@@ -123,12 +124,34 @@ def real() -> None:
         for axes, (title, ping) in zip(row[:3], images, strict=True):
             _show(axes, ping, title)
         for title, ping in images:
+            print(f"{name}: {title}: {_statistics(ping.image)}")
             counts, edges = np.histogram(ping.image, 64, (0, 1), density=True)
             middles: Float64 = (edges[1:] + edges[:-1]) / 2
             row[3].semilogy(middles, np.maximum(counts, 1e-3), label=title)
         row[3].set(xlabel="intensity", ylabel="density of pixels", ylim=(5e-3, 100))
         row[3].legend(fontsize=7)
     (FOLDER / "real-and-simulated.png").write_bytes(png(figure))
+
+
+def _statistics(image: Float32) -> str:
+    """Share of black pixels, median of the others, and how alike neighbours are there.
+
+    Neighbours are compared after taking away the mean of 31 bins x 5 beams, where all of it echoes.
+    """
+    black = float((image == 0).mean())
+    heard = minimum_filter((image > 0).astype(np.uint8), (31, 5)) > 0
+    rest = image.astype(np.float64) - uniform_filter(image.astype(np.float64), (31, 5))
+    along, across = heard[1:] & heard[:-1], heard[:, 1:] & heard[:, :-1]
+    power = float(np.mean(rest[heard] ** 2)) if heard.any() else math.nan
+    by_bin = float(np.mean((rest[1:] * rest[:-1])[along])) / power if along.any() else math.nan
+    by_beam = (
+        float(np.mean((rest[:, 1:] * rest[:, :-1])[across])) / power if across.any() else math.nan
+    )
+    median = float(np.median(image[image > 0]))
+    return (
+        f"{black:.1%} black, median of the others {median:.2f}, correlation with the next bin "
+        f"{by_bin:.2f}, with the next beam {by_beam:.2f}"
+    )
 
 
 def _show(axes: Axes, ping: Ping, title: str) -> None:

@@ -84,6 +84,7 @@ def test_a_path_of_a_scanning_and_a_side_scan_sonar(tmp_path: Path) -> None:
         (["simulate", "fls-tank", "--model", "magic"], "magic"),
         (["simulate", "fls-tank", "--set", "sonar.range_max_m=0.1"], "range_max_m"),
         (["simulate", "fls-tank", "--materials", "none.toml"], "none.toml"),
+        (["simulate", "tank", "--pose", "0 0 -2 0 0 0", "--sonar", "sidescan", "--camera"], "side"),
         (["scan", "tetrapod", "--sonar", "ping360"], "forward-looking"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from insonify.simulation import (
     Simulation,
     Turn,
     View,
-    Wanted,
     build_scene,
     orbit,
     simulate,
@@ -25,6 +25,7 @@ from insonify.simulation import (
     turn_starts,
     waterfall,
 )
+from insonify.sonar.camera import Camera
 
 COARSE = {"sampling": {"refine": 1}}
 
@@ -75,7 +76,7 @@ def test_waypoints_without_times_ping_once_each() -> None:
 
 def test_a_turn_has_its_truth_ping_by_ping() -> None:
     config = _config("msis-tank")
-    (turn,) = simulate(config, build_scene("tank"), Wanted(truth=True))
+    (turn,) = simulate(config, build_scene("tank"), with_truth=True)
     assert isinstance(turn, Turn)
     assert len(turn.truths) == len(turn.pings) == 200
     seen = {turn.truths[0].labels[k] for t in turn.truths for k in np.unique(t.label) if k >= 0}
@@ -95,6 +96,12 @@ def test_side_scan_lines_make_a_waterfall() -> None:
     assert image.shape == (6, 2048)
     np.testing.assert_array_equal(image[-1, 1024:], lines[0].starboard.image[:, 0])
     assert image[:, :1024].mean() > 0.05
+
+
+def test_a_camera_beside_a_side_scan_is_refused() -> None:
+    config = _config("tank", route=[[0.0, 0, 0, -2, 0, 0, 0]], sonar={"preset": "sidescan"})
+    with pytest.raises(ConfigError, match="--camera"):
+        next(simulate(config, build_scene("tank"), camera=cast(Camera, object())))
 
 
 def test_a_profiler_sounds_the_seabed() -> None:

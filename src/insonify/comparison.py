@@ -165,7 +165,7 @@ def _flown(row: Row) -> dict[str, float]:
         for match in ("exact", "within_one_voxel")
     }
     return scores | {
-        "position error, m": row["vehicle"]["pose_error"]["position_max_m"],
+        "largest position error, m": row["vehicle"]["pose_error"]["position_max_m"],
         "scans": row["scans"],
         "path, m": row["path_m"],
         "time, s": row["vehicle"]["time_s"],

@@ -61,7 +61,9 @@ def world_from_sonar(pose: Pose, mount: Pose) -> Float64:
     return transform_from_pose(pose) @ transform_from_pose(mount)
 
 
-def pose_from_quaternion(position_m: Sequence[float], xyzw: Sequence[float]) -> Pose:
+def pose_from_quaternion(
+    position_m: Sequence[float] | Float64, xyzw: Sequence[float] | Float64
+) -> Pose:
     """A pose from a position and a quaternion, which need not be of unit length.
 
     Raises:
@@ -91,10 +93,9 @@ def pose_at(trajectory: Trajectory, time_s: float) -> Pose:
     first, second = poses[after - 1], poses[after]
     part = (time_s - times_s[after - 1]) / (times_s[after] - times_s[after - 1])
     start, end = transform_from_pose(first), transform_from_pose(second)
-    turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
-    start[:3, :3] = start[:3, :3] @ Rotation.from_rotvec(part * turn).as_matrix()
-    start[:3, 3] += part * (end[:3, 3] - start[:3, 3])
-    return pose_from_transform(start)
+    before, behind = (quaternion_from_rotation(pose[:3, :3]) for pose in (start, end))
+    position_m = (1.0 - part) * start[:3, 3] + part * end[:3, 3]
+    return pose_from_quaternion(position_m, slerp(before, behind, part))
 
 
 def directions_from_angles(azimuth_rad: Float64, elevation_rad: Float64) -> Float64:

@@ -27,7 +27,7 @@ from insonify.scene.materials import Material
 from insonify.scene.worlds import load_scene
 from insonify.sonar import RendererName, Sonar, renderer_named
 from insonify.sonar.camera import Camera, CameraSettings, Picture
-from insonify.sonar.devices import Kind, SonarDevice, sonar_preset
+from insonify.sonar.devices import Kind, SonarDevice, with_preset
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.physical import PhysicalSettings
 from insonify.sonar.sampling import SamplingSettings
@@ -116,11 +116,7 @@ def simulation_config(world: str, layers: Iterable[Table]) -> Simulation:
 
 def _device(table: Table) -> Table:
     """A device's settings; those of its preset, if it names one, below them."""
-    inner = dict(table)
-    preset = inner.pop("preset", None)
-    if preset is None:
-        return {"tilt_deg": 0.0} | inner
-    return sonar_preset(str(preset)).model_dump(mode="json") | inner
+    return with_preset(table) if "preset" in table else {"tilt_deg": 0.0} | table
 
 
 def build_scene(
@@ -188,28 +184,23 @@ class Profile:
 Record = View | Turn | Line | Profile
 
 
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What is asked for beside the images."""
-
-    truth: bool = False
-    camera: bool = False
-
-
 def simulate(
-    config: Simulation, scene: Scene, wanted: Wanted = Wanted(), camera: Camera | None = None
+    config: Simulation, scene: Scene, *, with_truth: bool = False, camera: Camera | None = None
 ) -> Iterator[Record]:
     """Ping along the route.
 
     Args:
         config: What to simulate.
         scene: Its world, of `build_scene`.
-        wanted: Truth, pictures.
-        camera: Takes the pictures; needed if they are wanted.
+        with_truth: The truth of each pixel too.
+        camera: Takes a picture along the sonar's axis, if one is wanted.
 
     Raises:
         RendererError: The renderer cannot be had.
+        ConfigError: A camera is asked for beside a side-scan, which looks to both sides.
     """
+    if camera is not None and config.sonar.kind is Kind.SIDESCAN:
+        raise ConfigError("a side-scan sonar looks to both sides; leave --camera out")
     sonar = build_sonar(config)
     rng = np.random.default_rng([config.seed, 2])
     kind, device = config.sonar.kind, config.sonar
@@ -218,7 +209,7 @@ def simulate(
         return sonar.ping(scene, pose, rng, head_rad=head_rad, time_s=time_s)
 
     def truth(pose: Pose, head_rad: float = 0.0) -> Truth | None:
-        return sonar.truth(scene, pose, head_rad=head_rad) if wanted.truth else None
+        return sonar.truth(scene, pose, head_rad=head_rad) if with_truth else None
 
     def picture(pose: Pose) -> Picture | None:
         if camera is None:

@@ -25,10 +25,10 @@ from insonify.scenarios import Table, explain, overlay
 from insonify.scene import Scene
 from insonify.scene.sounding import hull_contact, sounder
 from insonify.sonar import Sonar
-from insonify.sonar.devices import Kind, SonarDevice, sonar_preset
+from insonify.sonar.devices import Kind, SonarDevice, with_preset
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.sampling import SamplingSettings
-from insonify.sonar.scanning import HeadPing, head_angles
+from insonify.sonar.scanning import HeadPing, head_angles, head_at
 from insonify.types import Ping, Pose
 from insonify.vehicle.craft import Craft
 from insonify.vehicle.description import Finite, vehicle_named
@@ -153,11 +153,7 @@ def _resolved(mounted: Any) -> Any:
     """A mounted sonar with its preset's settings below its own."""
     if not isinstance(mounted, dict) or not isinstance(mounted.get("sonar"), dict):
         return mounted
-    device = dict(mounted["sonar"])
-    preset = device.pop("preset", None)
-    if preset is not None:
-        device = sonar_preset(str(preset)).model_dump(mode="json") | device
-    return mounted | {"sonar": device}
+    return mounted | {"sonar": with_preset(mounted["sonar"])}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +185,6 @@ class _Head:
         self._sonar = Sonar(mounted.sonar, config.sampling, config.image)
         self._rng = rng
         self._clock = Clock(mounted.rate_hz)
-        self._angles = head_angles(mounted.sonar)
         self._count = 0
 
     def listen(self, scene: Scene, craft: Craft) -> Sounding | None:
@@ -197,7 +192,7 @@ class _Head:
         if not self._clock.due(craft.time_s):
             return None
         number, self._count = self._count, self._count + 1
-        head_rad = head_at(self.mounted.sonar, self._angles, number)
+        head_rad = head_at(self.mounted.sonar, number)
         true, place = craft.true_pose, self.mounted.place
         base = compose(true, place)
         ping = self._sonar.ping(scene, base, self._rng, head_rad=head_rad, time_s=craft.time_s)
@@ -205,15 +200,6 @@ class _Head:
         whole = dataclasses.replace(geometry, mount=compose(place, geometry.mount))
         ping = dataclasses.replace(ping, geometry=whole)
         return Sounding(self.mounted.name, number, ping, head_rad, true, craft.believed_pose)
-
-
-def head_at(device: SonarDevice, angles: np.ndarray, number: int) -> float:
-    """Where the head of a device looks at its ping of a number; one that is fixed, ahead."""
-    if device.kind is not Kind.SCANNING:
-        return 0.0
-    turn, step = divmod(number, len(angles))
-    backwards = device.back_and_forth and turn % 2 == 1
-    return float(angles[-1 - step] if backwards else angles[step])
 
 
 def tour(

@@ -87,11 +87,12 @@ def test_a_csv_file_needs_positions_only(tmp_path: Path) -> None:
         ("x_m,y_m,z_m,roll\n1,2,3,4\n", "'roll'"),
         ("x_m,y_m,z_m\n1,2,nan\n", "line 2"),
         ("x_m,y_m,z_m\n1,2,3\n1,2\n", "line 3"),
-        ("time_s,x_m,y_m,z_m\n1,1,2,3\n1,1,2,3\n", "line 3"),
+        ("time_s,x_m,y_m,z_m\n1,1,2,3\n1,1,2,3\n", "1 s does not follow 1 s"),
         ("0 1 2 3 0 0 0 0\n", "quaternion"),
-        ("0 1 2 3 0 0 0\n", "8 finite"),
-        ("a b c d e f g h\n", "line 1"),
-        ("\x00\x01", "line 1"),
+        ("0 1 2 3 0 0 0\n", "7 numbers; a pose is eight"),
+        ("a b c d e f g h\n", "no poses"),
+        ("0 1 2 3 0 0 0 x\n", "line 1"),
+        ("\x00\x01", "no poses"),
     ],
 )
 def test_bad_routes_name_the_line(tmp_path: Path, text: str, message: str) -> None:

@@ -13,6 +13,7 @@ from insonify.scene import Body, Scene
 from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.opengl import OpenGLRenderer
+from insonify.sonar.physical import PhysicalSettings
 from insonify.sonar.truth import Truth
 from insonify.types import Float64, Pose
 
@@ -100,3 +101,16 @@ def test_an_empty_view_has_no_truth() -> None:
     nothing = Sonar(DEVICE).truth(_scene(), up)
     assert (nothing.label == -1).all() and not nothing.first_return.any()
     assert not nothing.shadow.any() and np.isnan(nothing.range_m).all()
+
+
+def test_the_truth_leaves_mirrors_out() -> None:
+    """With the water's surface at z = 0 as a mirror, the same truth as without."""
+    sunk = Scene((Body("block", _box((2.0, 2.0, 2.0), np.array([10.0, 0.0, -3.0]))),))
+    device = DEVICE.model_copy(update={"elevation_fov_deg": 90.0})
+    eye = Pose(0.0, 0.0, -3.0)
+    plain = Sonar(device, physical=PhysicalSettings())
+    mirrored = Sonar(device, physical=PhysicalSettings(surface_mirror=True, second_bounce=True))
+    assert (plain.ping(sunk, eye).image != mirrored.ping(sunk, eye).image).any()
+    before, after = plain.truth(sunk, eye), mirrored.truth(sunk, eye)
+    np.testing.assert_array_equal(before.label, after.label)
+    np.testing.assert_array_equal(before.point_m, after.point_m)

@@ -37,6 +37,14 @@ ConfigOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 
+OutOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results.")
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace results in DIR.")]
+RendererOption = Annotated[
+    str | None, typer.Option("--renderer", help="embree or opengl.", show_default=False)
+]
+
 
 class Interrupted(BaseException):
     """Ctrl-C; not a KeyboardInterrupt, which typer would turn into exit code 1."""
@@ -45,6 +53,13 @@ class Interrupted(BaseException):
 def choices(**given: Any) -> Table:
     """The options that were given, as a layer of settings."""
     return {key: value for key, value in given.items() if value is not None}
+
+
+def absolute_world(world: str | None) -> str | None:
+    """A world's file by its whole path, so that the saved config runs from any folder."""
+    if world is not None and Path(world).suffix and Path(world).is_file():
+        return str(Path(world).absolute())
+    return world
 
 
 def file_layers(config: Path | None) -> list[Table]:

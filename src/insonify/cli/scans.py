@@ -17,7 +17,10 @@ import typer
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
+    ForceOption,
     JsonOption,
+    OutOption,
+    RendererOption,
     SetOption,
     app,
     choices,
@@ -29,6 +32,8 @@ from insonify.cli.root import (
 )
 from insonify.cli.vehicles import (
     CurrentOption,
+    NavigationOption,
+    RealTimeOption,
     VehicleOption,
     check_vehicle,
     print_navigation,
@@ -55,24 +60,16 @@ def scan(
         Path | None, typer.Option("--object", metavar="MESH", help="Scan this mesh file instead.")
     ] = None,
     sonar: Annotated[str | None, typer.Option(help="Scan with this device; see: sonars")] = None,
-    renderer: Annotated[
-        str | None, typer.Option(help="embree or opengl.", show_default=False)
-    ] = None,
+    renderer: RendererOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
     vehicle: VehicleOption = None,
     current: CurrentOption = None,
-    navigation: Annotated[
-        str | None,
-        typer.Option(help="The vehicle's: truth, or dvl (estimated).", show_default=False),
-    ] = None,
-    real_time: Annotated[
-        bool,
-        typer.Option("--real-time", help="Fly no faster than the clock on the wall."),
-    ] = False,
+    navigation: NavigationOption = None,
+    real_time: RealTimeOption = False,
     settings: SetOption = None,
     config: ConfigOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    out: OutOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""

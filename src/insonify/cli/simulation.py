@@ -16,8 +16,12 @@ import typer
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
+    ForceOption,
     JsonOption,
+    OutOption,
+    RendererOption,
     SetOption,
+    absolute_world,
     app,
     choices,
     file_layers,
@@ -60,9 +64,7 @@ def simulate(
     model: Annotated[
         str | None, typer.Option(help="cerqueira or physical.", show_default=False)
     ] = None,
-    renderer: Annotated[
-        str | None, typer.Option(help="embree or opengl.", show_default=False)
-    ] = None,
+    renderer: RendererOption = None,
     truth: Annotated[
         bool, typer.Option("--truth", help="Label, elevation, range, point, shadow of each pixel.")
     ] = False,
@@ -79,14 +81,14 @@ def simulate(
     ] = None,
     settings: SetOption = None,
     config: ConfigOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    out: OutOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a sonar in a world: images, arrays with their geometry, and their truth."""
     from insonify.io.folders import result_folder, unused_folder
     from insonify.scene.materials import read_materials
-    from insonify.simulation import Wanted, build_scene
+    from insonify.simulation import build_scene
     from insonify.simulation import simulate as run
     from insonify.sonar.camera import Camera
 
@@ -101,7 +103,7 @@ def simulate(
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
         writer = _Writer(place.scratch, full, scene.labels)
         with _progress(full) as watch:
-            for record in run(full, scene, Wanted(truth, camera), eye):
+            for record in run(full, scene, with_truth=truth, camera=eye):
                 watch(record)
                 writer.write(record)
                 if interrupted():
@@ -128,7 +130,8 @@ def _configure(
                 "name a world (a file, or tank, grid, structures), or give a --config"
             )
         world = str(from_file[0]["world"])
-    return simulation_config(world, [*from_file, chosen, *single_layers(settings)])
+    layers = [*from_file, chosen, *single_layers(settings)]
+    return simulation_config(absolute_world(world) or world, layers)
 
 
 def _route(pose: str | None, path: Path | None, orbit: str | None) -> Table:

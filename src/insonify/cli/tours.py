@@ -13,15 +13,25 @@ import typer
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
+    ForceOption,
     JsonOption,
+    OutOption,
     SetOption,
+    absolute_world,
     app,
     choices,
     file_layers,
     interruptible,
     single_layers,
 )
-from insonify.cli.vehicles import CurrentOption, VehicleOption, vehicle_table, wall_clock
+from insonify.cli.vehicles import (
+    CurrentOption,
+    NavigationOption,
+    RealTimeOption,
+    VehicleOption,
+    vehicle_table,
+    wall_clock,
+)
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -44,21 +54,17 @@ def fly(
     ] = None,
     vehicle: VehicleOption = None,
     current: CurrentOption = None,
-    navigation: Annotated[
-        str | None, typer.Option(help="truth, or dvl (estimated).", show_default=False)
-    ] = None,
+    navigation: NavigationOption = None,
     sonars: Annotated[
         str | None,
         typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [[sonars]]."),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
-    real_time: Annotated[
-        bool, typer.Option("--real-time", help="Fly no faster than the clock on the wall.")
-    ] = False,
+    real_time: RealTimeOption = False,
     settings: SetOption = None,
     config: ConfigOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
+    out: OutOption = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Fly a vehicle with several sonars over a world; each pings on its own clock."""
@@ -69,7 +75,7 @@ def fly(
     from insonify.vehicle.craft import Craft
 
     chosen = choices(
-        world=_absolute(world),
+        world=absolute_world(world),
         seed=seed,
         sonars=sonars,
         vehicle=vehicle_table(vehicle, current, navigation),
@@ -104,13 +110,6 @@ def fly(
     if interrupted():
         print("insonify: interrupted; what was heard until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
-
-
-def _absolute(world: str | None) -> str | None:
-    """A world's file by its whole path, so that the saved config runs from any folder."""
-    if world is not None and Path(world).suffix and Path(world).is_file():
-        return str(Path(world).absolute())
-    return world
 
 
 def _waypoints(text: str | None, path: Path | None) -> list[list[float]] | None:

@@ -23,6 +23,15 @@ CurrentOption = Annotated[
     str | None,
     typer.Option(metavar="'EAST NORTH UP'", help="Of the water, m/s; needs a vehicle."),
 ]
+NavigationOption = Annotated[
+    str | None,
+    typer.Option(
+        "--navigation", help="The vehicle's: truth, or dvl (estimated).", show_default=False
+    ),
+]
+RealTimeOption = Annotated[
+    bool, typer.Option("--real-time", help="Fly no faster than the clock on the wall.")
+]
 
 
 def vehicle_table(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
-from insonify.errors import GeometryError, RecordingError
-from insonify.frames import pose_from_quaternion
+from insonify.errors import RecordingError
+from insonify.io.recordings.poses import read_poses
 
 _NEEDED = ("x_m", "y_m", "z_m")
 _COLUMNS = ("time_s", *_NEEDED, "roll_deg", "pitch_deg", "yaw_deg")
@@ -47,15 +48,13 @@ def read_route(path: Path) -> Route:
     if not lines:
         raise RecordingError(f"{path}: there are no poses in it")
     named = any(name in lines[0][1] for name in _NEEDED)
-    route = _table(path, lines) if named else _tum(path, lines)
+    route = _table(path, lines) if named else _tum(path)
     if route.timed:
-        for (before, *_), (after, *_), (number, _) in zip(
-            route.rows, route.rows[1:], lines[1 + named :], strict=False
-        ):
+        for before, after in pairwise(row[0] for row in route.rows):
             if not after > before:
                 raise RecordingError(
-                    f"{path}, line {number}: time {after:g} s does not follow {before:g} s; "
-                    "sort the lines by time"
+                    f"{path}: time {after:g} s does not follow {before:g} s; sort the lines by "
+                    "time, without repeats"
                 )
     return route
 
@@ -80,19 +79,13 @@ def _table(path: Path, lines: list[tuple[int, str]]) -> Route:
     return Route(tuple(rows), timed)
 
 
-def _tum(path: Path, lines: list[tuple[int, str]]) -> Route:
-    rows: list[Row] = []
-    start_s = 0.0
-    for number, line in lines:
-        time_s, x, y, z, *xyzw = _numbers(path, number, line.replace(",", " ").split(), 8)
-        if not rows:
-            start_s = time_s
-        try:
-            pose = pose_from_quaternion((x, y, z), xyzw)
-        except GeometryError as err:
-            raise RecordingError(f"{path}, line {number}: {err}") from err
+def _tum(path: Path) -> Route:
+    track = read_poses(path)
+    rows = []
+    for number, time_s in enumerate(track.times_s - track.times_s[0]):
+        pose = track.sample(number)
         angles = map(math.degrees, (pose.roll_rad, pose.pitch_rad, pose.yaw_rad))
-        rows.append((time_s - start_s, x, y, z, *angles))
+        rows.append((float(time_s), *pose.position_m, *angles))
     return Route(tuple(rows), True)
 
 

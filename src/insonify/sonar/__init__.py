@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -90,9 +90,10 @@ class Sonar:
         return Ping(image, geometry, time_s)
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
-        """What each pixel of the image from a pose shows."""
+        """What each pixel of the image from a pose shows, as far as its echoes come straight."""
         geometry = self.device.geometry_at(head_rad)
-        samples = self._renderer.sample(scene, geometry, pose, self.response)
+        direct = replace(self.response, second_bounce=False, surface_mirror=False)
+        samples = self._renderer.sample(scene, geometry, pose, direct)
         return find_truth(samples, scene, geometry, pose)
 
     @property

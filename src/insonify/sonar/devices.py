@@ -193,3 +193,14 @@ def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
         )
     except ValidationError as err:
         raise ConfigError(f"{name}: no forward-looking sonar has this fan ({geometry})") from err
+
+
+def with_preset(table: dict[str, Any]) -> dict[str, Any]:
+    """A device's settings; if they name a ``preset``, its settings below their own.
+
+    Raises:
+        ConfigError: There is no preset of that name.
+    """
+    own = dict(table)
+    preset = own.pop("preset", None)
+    return own if preset is None else sonar_preset(str(preset)).model_dump(mode="json") | own

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from insonify.frames import transform_from_pose
-from insonify.sonar.devices import SonarDevice
+from insonify.sonar.devices import Kind, SonarDevice
 from insonify.types import FanGeometry, Float32, Float64, Ping, Pose
 
 _PARTS_ACROSS, _PARTS_ALONG = 8, 2
@@ -37,6 +37,16 @@ def head_angles(device: SonarDevice) -> Float64:
     return np.asarray(np.radians(ahead * device.step_deg))
 
 
+def head_at(device: SonarDevice, number: int) -> float:
+    """Where the head of a device looks at its ping of a number; one that is fixed, ahead."""
+    if device.kind is not Kind.SCANNING:
+        return 0.0
+    angles = head_angles(device)
+    turn, step = divmod(number, len(angles))
+    backwards = device.back_and_forth and turn % 2 == 1
+    return float(angles[-1 - step] if backwards else angles[step])
+
+
 def sweep(
     ping: Callable[[Pose, float, float], Ping],
     device: SonarDevice,
@@ -56,14 +66,12 @@ def sweep(
         number: Of the turn; a head that goes back and forth sweeps odd ones from starboard.
         sound_speed_mps: Sets the time from ping to ping.
     """
-    angles = head_angles(device)
-    if device.back_and_forth and number % 2:
-        angles = angles[::-1]
+    steps = len(head_angles(device))
     interval_s = device.interval_s(sound_speed_mps)
-    for step, head_rad in enumerate(angles):
+    for step in range(steps):
         time_s = start_s + step * interval_s
-        pose = pose_at(time_s)
-        yield HeadPing(ping(pose, float(head_rad), time_s), float(head_rad), pose)
+        head_rad, pose = head_at(device, number * steps + step), pose_at(time_s)
+        yield HeadPing(ping(pose, head_rad, time_s), head_rad, pose)
 
 
 def polar_image(turn: Sequence[HeadPing], device: SonarDevice) -> Ping:

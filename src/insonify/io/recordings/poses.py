@@ -11,9 +11,8 @@ import numpy as np
 
 from insonify.errors import RecordingError, reason
 from insonify.frames import (
-    pose_from_transform,
+    pose_from_quaternion,
     quaternion_from_rotation,
-    rotation_from_quaternion,
     slerp,
     transform_from_pose,
 )
@@ -57,13 +56,18 @@ class PoseTrack:
         return len(self._rows)
 
     @property
+    def times_s(self) -> Float64:
+        """All times, (N,)."""
+        return self._rows[:, 0]
+
+    @property
     def span_s(self) -> tuple[float, float]:
         """First and last time."""
         return float(self._rows[0, 0]), float(self._rows[-1, 0])
 
     def sample(self, number: int) -> Pose:
         """The pose of a row."""
-        return _pose(self._rows[number, 1:4], self._rows[number, 4:])
+        return pose_from_quaternion(self._rows[number, 1:4], self._rows[number, 4:])
 
     def at(self, time_s: float) -> Pose | None:
         """The pose at a time; None before the first pose and after the last."""
@@ -76,7 +80,7 @@ class PoseTrack:
         start, end = self._rows[after - 1], self._rows[after]
         share = float((time_s - start[0]) / (end[0] - start[0]))
         position = (1.0 - share) * start[1:4] + share * end[1:4]
-        return _pose(position, slerp(start[4:], end[4:], share))
+        return pose_from_quaternion(position, slerp(start[4:], end[4:], share))
 
 
 def read_poses(path: Path) -> PoseTrack:
@@ -131,10 +135,3 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _pose(position: Float64, quaternion: Float64) -> Pose:
-    transform = np.eye(4)
-    transform[:3, :3] = rotation_from_quaternion(quaternion)
-    transform[:3, 3] = position
-    return pose_from_transform(transform)
