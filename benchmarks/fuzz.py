@@ -35,7 +35,7 @@ from insonify.io.recordings.arrays import save_arrays
 from insonify.io.recordings.messages import message_types
 from insonify.io.recordings.poses import read_poses
 from insonify.io.recordings.recording import RecordedPing
-from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
 from insonify.sonar.devices import read_device
 from insonify.types import FanGeometry, Ping, Pose
 
@@ -175,12 +175,22 @@ def _bare_mcap(folder: Path, rng: np.random.Generator) -> Path:
     return folder / "m.mcap"
 
 
-def _map(folder: Path, rng: np.random.Generator) -> Path:
-    voxels = VoxelMap(0.1)
-    slots = voxels.allocate(rng.integers(-4, 4, (5, 3)).astype(np.int32))
-    voxels.log_odds[slots] = rng.normal(size=(len(slots), 512)).astype(np.float32)
-    save_map(voxels, folder / "map.npz")
-    return folder / "map.npz"
+def _map(suffix: str, inner: str = "") -> Make:
+    """A map, or a file inside one that is a folder."""
+
+    def make(folder: Path, rng: np.random.Generator) -> Path:
+        voxels = VoxelMap(0.1)
+        slots = voxels.allocate(rng.integers(-4, 4, (5, 3)).astype(np.int32))
+        voxels.log_odds[slots] = rng.normal(size=(len(slots), 512)).astype(np.float32)
+        voxels.seen[slots] = IN_VIEW | OBSERVED
+        save_map(voxels, folder / f"map{suffix}")
+        return folder / f"map{suffix}" / inner
+
+    return make
+
+
+def _zarr(path: Path) -> Path:
+    return next(folder for folder in path.parents if folder.suffix == ".zarr")
 
 
 READERS = (
@@ -202,7 +212,12 @@ READERS = (
     Reader("ROS 1 bag", _bag("ros1"), _pings),
     Reader("ROS 2 bag, SQLite", _bag("db3"), _pings, lambda path: path.parent),
     Reader("ROS 2 bag, metadata", _metadata, _pings, lambda path: path.parent),
-    Reader("map (.npz)", _map, load_map),
+    Reader("map (.npz)", _map(".npz"), load_map),
+    Reader("map (.bt)", _map(".bt"), load_map),
+    Reader("map (.ot)", _map(".ot"), load_map),
+    Reader("map (.zarr)", _map(".zarr", "zarr.json"), load_map, _zarr),
+    Reader("map (.zarr), array", _map(".zarr", "log_odds/zarr.json"), load_map, _zarr),
+    Reader("map (.zarr), chunk", _map(".zarr", "log_odds/c/0/0"), load_map, _zarr),
 )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
 from insonify.types import Float32, Float64, Pose
 from insonify.vehicle.craft import Craft
 from insonify.vehicle.description import vehicle_named
@@ -18,6 +19,7 @@ from insonify.vehicle.settings import VehicleSettings
 settings.register_profile("same", derandomize=True)  # the same examples on every machine
 settings.load_profile("same")
 
+MakeMap = Callable[..., VoxelMap]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -53,3 +55,24 @@ def launch() -> Callable[..., Craft]:
         return Craft(vehicle, chosen, start, level_bottom, np.random.default_rng(seed))
 
     return put
+
+
+@pytest.fixture(scope="session")
+def make_map() -> MakeMap:
+    """Random maps as a mapper leaves them: log-odds only where something was observed."""
+
+    def make(seed: int, blocks: int = 6, reach: int = 40, voxel_m: float = 0.1) -> VoxelMap:
+        rng = np.random.default_rng(seed)
+        voxels = VoxelMap(voxel_m)
+        voxels.allocate(rng.integers(-reach, reach + 1, (blocks, 3)).astype(np.int32))
+        shape = voxels.log_odds.shape
+        voxels.log_odds[:] = rng.normal(0.0, 2.0, shape)
+        voxels.log_odds[rng.random(shape) < 0.02] = 0.0
+        voxels.seen[:] = rng.choice([0, IN_VIEW, IN_VIEW | OBSERVED], shape)
+        for slot in range(0, voxels.block_count, 2):  # half of the blocks can be pruned
+            voxels.seen[slot, : rng.choice([64, 256, 512])] = IN_VIEW | OBSERVED
+            voxels.log_odds[slot] = rng.choice([-1.5, 0.5, 3.75])
+        voxels.log_odds[voxels.seen != (IN_VIEW | OBSERVED)] = 0.0
+        return voxels
+
+    return make

@@ -82,7 +82,7 @@ def test_map_writes_everything(folder: Path) -> None:
         (["map", "images", "--out", "m", "--region", "1 2 3"], ["--region", "1 2 3"]),
         (["map", "images", "--out", "m", "--set", "sonar.beams=2"], ["mapping.KEY", "sonar"]),
         (["map", "images", "--out", "m", "--voxel", "0"], ["voxel_m"]),
-        (["plan", "none", "--from", "0 0 0 0"], ["none", "no such file"]),
+        (["plan", "none", "--from", "0 0 0 0"], ["none", "no such map file"]),
         (["plan", "text", "--from", "0 0 0 0"], ["text", "insonify-map"]),
         (["plan", "map.npz", "--from", "0 0 0"], ["--from", "'0 0 0'"]),
         (["plan", "map.npz", "--from", "0 0 0 0", "--datum", "1"], ["--datum", "'1'"]),

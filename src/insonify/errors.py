@@ -43,6 +43,10 @@ class RendererError(InsonifyError):
     """A renderer cannot be had here, or cannot do what is asked."""
 
 
+class MissingExtraError(InsonifyError):
+    """An optional package is needed and not installed."""
+
+
 def reason(err: BaseException) -> str:
     """What a library says of damage, cut to a length that fits into a sentence."""
     text = " ".join(str(err).split()) or type(err).__name__

@@ -73,7 +73,7 @@ def test_damaged_maps_are_named(tmp_path: Path) -> None:
     save_map(_random_map(2), good)
     content = good.read_bytes()
     bad = tmp_path / "bad.npz"
-    with pytest.raises(MapFileError, match="no such file"):
+    with pytest.raises(MapFileError, match="no such map file"):
         load_map(bad)
     rng = np.random.default_rng(0)
     versions = [b"", b"junk", content[: len(content) // 2]]

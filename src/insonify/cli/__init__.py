@@ -23,11 +23,22 @@ from insonify.cli import recordings
 from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import tours
+from insonify.cli import exports
 from insonify.cli import listings
 
 # isort: on
 
-__all__ = ["app", "listings", "main", "plans", "recordings", "scans", "simulation", "tours"]
+__all__ = [
+    "app",
+    "exports",
+    "listings",
+    "main",
+    "plans",
+    "recordings",
+    "scans",
+    "simulation",
+    "tours",
+]
 
 
 def _interrupt(signum: int, frame: object) -> None:

@@ -83,6 +83,38 @@ def write_file(path: Path, data: bytes) -> None:
         raise OutputError(f"{path}: cannot be written ({_reason(err)})") from err
 
 
+@contextmanager
+def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
+    """A scratch path of the same name that becomes ``target`` when the block ends well.
+
+    It may be made a file or, for formats that are folders, a folder.  With ``force`` a file, or a
+    folder of the same format (a Zarr group), is replaced.
+
+    Raises:
+        OutputError: ``target`` exists and may not be replaced, or it cannot be written.
+    """
+    exists = os.path.lexists(target)
+    if exists and not force:
+        raise OutputError(f"{target}: already exists; give another name, or --force to replace it")
+    if target.is_dir() and not (target / "zarr.json").is_file():
+        raise OutputError(f"{target}: is a folder; give the name of a file")
+    try:
+        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    except OSError as err:
+        raise OutputError(
+            f"{target}: cannot be written ({_reason(err)}); give another place"
+        ) from err
+    try:
+        yield scratch / target.name
+        if target.is_dir() and not target.is_symlink():
+            target.rename(scratch / f"{target.name}.replaced")
+        (scratch / target.name).replace(target)
+    except OSError as err:
+        raise OutputError(f"{target}: cannot be written ({_reason(err)})") from err
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
 def _remove_empty(folders: list[Path]) -> None:
     """Remove those of some folders, the deepest first, that hold nothing."""
     for folder in folders:

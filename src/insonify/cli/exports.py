@@ -1,0 +1,73 @@
+"""Maps for other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from insonify.cli.root import JsonOption, app
+from insonify.errors import OutputError
+
+if TYPE_CHECKING:
+    from insonify.io.maps import Datum
+
+
+@app.command()
+def export(
+    source: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Result folder, or .npz, .zarr, .ot, .bt.")
+    ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT", help="Ends in .npz, .zarr, .ot, .bt, .ply, .glb, .stl, .tif, .xyz, .vdb."
+        ),
+    ],
+    datum: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON", help="Where the origin lies, degrees WGS 84; for .tif."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace OUT.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a map in the format of another program; OUT's suffix names it."""
+    from insonify.io.folders import result_file
+    from insonify.io.maps import load_map, save_map
+    from insonify.mapping.voxels import OBSERVED
+
+    place = _datum(datum)
+    voxels = load_map(source)
+    with result_file(target, force=force) as scratch:
+        save_map(voxels, scratch, datum=place)
+    files = [path for path in (target, *target.rglob("*")) if path.is_file()]
+    row = {
+        "file": str(target),
+        "bytes": sum(path.stat().st_size for path in files),
+        "voxel_m": voxels.voxel_m,
+        "observed_voxels": int(((voxels.seen & OBSERVED) > 0).sum()),
+        "occupied_voxels": int((voxels.log_odds > 0).sum()),
+    }
+    if as_json:
+        print(json.dumps(row, indent=2))
+    else:
+        print(
+            f"{target}: {row['bytes']:,} bytes, from {row['observed_voxels']:,} observed voxels of "
+            f"{voxels.voxel_m:g} m, {row['occupied_voxels']:,} of them occupied"
+        )
+
+
+def _datum(text: str | None) -> Datum | None:
+    from insonify.io.maps import Datum
+
+    if text is None:
+        return None
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError as err:
+        raise OutputError(
+            f"--datum takes LAT,LON in degrees, as in 54.32,10.13, not {text!r}"
+        ) from err
+    return Datum(latitude, longitude)

@@ -1,0 +1,92 @@
+"""Voxel maps as files, the format chosen by the suffix; docs/maps.md says what each keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from insonify.errors import MapFileError, OutputError
+from insonify.io.maps.blocks import cropped
+from insonify.io.maps.chunks import load_zarr, save_zarr
+from insonify.io.maps.geotiff import Datum, save_geotiff
+from insonify.io.maps.heights import save_xyz
+from insonify.io.maps.native import load_npz, save_npz
+from insonify.io.maps.octomap import load_octomap, save_octomap
+from insonify.io.maps.pointcloud import save_point_cloud
+from insonify.io.maps.surface import save_surface
+from insonify.io.maps.vdb import save_vdb
+from insonify.mapping.voxels import VoxelMap
+from insonify.types import Box
+
+__all__ = ["LOADED", "SAVED", "Datum", "load_map", "save_map", "save_point_cloud"]
+
+LOADED = (".npz", ".zarr", ".ot", ".bt")
+_SAVERS: dict[str, Callable[[VoxelMap, Path], None]] = {
+    ".npz": save_npz,
+    ".zarr": save_zarr,
+    ".ot": save_octomap,
+    ".bt": save_octomap,
+    ".ply": save_point_cloud,
+    ".glb": save_surface,
+    ".stl": save_surface,
+    ".tif": save_geotiff,
+    ".xyz": save_xyz,
+    ".vdb": save_vdb,
+}
+SAVED = tuple(_SAVERS)
+
+
+def save_map(voxels: VoxelMap, path: Path | str, *, datum: Datum | None = None) -> None:
+    """Write a map in the format that the suffix of ``path`` names.
+
+    Args:
+        voxels: The map.
+        path: ``.npz`` and ``.zarr`` keep all of it, ``.ot`` and ``.bt`` what OctoMap can hold;
+            ``.ply``, ``.glb``, ``.stl``, ``.tif``, ``.xyz`` and ``.vdb`` are for other programs.
+        datum: Where the origin lies, for ``.tif``.
+
+    Raises:
+        OutputError: There is no such format, or the map cannot be written in it.
+        MissingExtraError: The format needs a package that is not installed.
+    """
+    path = Path(path)
+    if path.suffix not in SAVED:
+        raise OutputError(
+            f"{path.name}: there is no map format {path.suffix!r}; name a file that ends in one of "
+            f"{', '.join(SAVED)}"
+        )
+    if datum is not None and path.suffix != ".tif":
+        raise OutputError(f"{path.name}: only a GeoTIFF (.tif) takes a datum; leave it out")
+    if datum is not None:
+        save_geotiff(voxels, path, datum)
+    else:
+        _SAVERS[path.suffix](voxels, path)
+
+
+def load_map(path: Path | str, region: Box | None = None) -> VoxelMap:
+    """Read a map: ``.npz``, ``.zarr``, OctoMap's ``.ot`` and ``.bt``, or a result folder's.
+
+    Args:
+        path: The file or folder.
+        region: Only the blocks that touch this box; of a ``.zarr`` no others are read.
+
+    Raises:
+        MapFileError: It is missing, is no such map, or is damaged.
+        MissingExtraError: The format needs a package that is not installed.
+    """
+    path = Path(path)
+    if path.suffix != ".zarr" and path.is_dir():
+        path /= "map.npz"
+        if not path.is_file():
+            raise MapFileError(f"{path.parent}: no result folder, it holds no map.npz")
+    if not path.exists():
+        raise MapFileError(f"{path}: there is no such map file; check the path")
+    if path.suffix == ".zarr":
+        return load_zarr(path, region)
+    if path.suffix in (".ot", ".bt"):
+        voxels = load_octomap(path)
+    elif path.suffix in SAVED and path.suffix != ".npz":
+        raise MapFileError(f"{path}: {path.suffix} cannot be read back; give {', '.join(LOADED)}")
+    else:
+        voxels = load_npz(path)
+    return voxels if region is None else cropped(voxels, region)

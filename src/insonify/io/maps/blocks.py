@@ -1,0 +1,94 @@
+"""Blocks of voxels from a file: checked, then made a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from insonify.errors import MapFileError
+from insonify.mapping.voxels import (
+    BYTES_PER_VOXEL,
+    FARTHEST_BLOCK,
+    IN_VIEW,
+    OBSERVED,
+    VOXELS_PER_BLOCK,
+    VoxelMap,
+)
+from insonify.types import Array, Bool, Box, Int64
+
+MOST_LOG_ODDS = 100.0
+
+
+def ascending(voxels: VoxelMap) -> Int64:
+    """Slots of a map's blocks by x, y, z, so that files do not tell the order of exploration."""
+    return np.lexsort(voxels.coords.T[::-1])
+
+
+def touching(coords: Array, block_m: float, region: Box) -> Bool:
+    """Which blocks (N, 3) a box touches."""
+    low_m = coords.astype(np.float64) * block_m
+    inside = (low_m <= region.high_m) & (low_m + block_m >= region.low_m)
+    return np.asarray(inside.all(axis=1), bool)
+
+
+def map_from_blocks(
+    path: Path, voxel_m: float, coords: Array, log_odds: Array, seen: Array
+) -> VoxelMap:
+    """A map of the blocks that a file holds.
+
+    Args:
+        path: The file, for messages.
+        voxel_m: Edge length of a voxel.
+        coords: (blocks, 3) integers.
+        log_odds: (blocks, 512) floats.
+        seen: (blocks, 512) unsigned integers.
+
+    Raises:
+        MapFileError: They make no sense.
+    """
+    kinds = (coords.dtype.kind, log_odds.dtype.kind, seen.dtype.kind)
+    if kinds != ("i", "f", "u") or coords.ndim != 2:
+        raise MapFileError(f"{path}: damaged, its arrays are of the wrong kind")
+    blocks = len(coords)
+    shapes = (coords.shape, log_odds.shape, seen.shape)
+    if shapes != ((blocks, 3), (blocks, VOXELS_PER_BLOCK), (blocks, VOXELS_PER_BLOCK)):
+        raise MapFileError(f"{path}: damaged, its arrays have shapes {shapes}")
+    if not (np.isfinite(log_odds).all() and 0.0 < voxel_m < np.inf):
+        raise MapFileError(f"{path}: damaged, it holds numbers that are not finite")
+    far = blocks and int(np.abs(coords.astype(np.int64)).max()) >= FARTHEST_BLOCK
+    if far or len(np.unique(coords, axis=0)) != blocks or (seen > (IN_VIEW | OBSERVED)).any():
+        raise MapFileError(f"{path}: damaged, its blocks make no sense")
+    if np.abs(log_odds).max(initial=0.0) > MOST_LOG_ODDS:
+        raise MapFileError(f"{path}: damaged, it holds log-odds beyond {MOST_LOG_ODDS:g}")
+    voxels = VoxelMap(voxel_m)
+    slots = voxels.allocate(coords.astype(np.int32))
+    voxels.log_odds[slots] = log_odds
+    voxels.seen[slots] = seen
+    return voxels
+
+
+def cropped(voxels: VoxelMap, region: Box) -> VoxelMap:
+    """The part of a map whose blocks touch a box."""
+    kept = touching(voxels.coords, voxels.block_m, region)
+    part = VoxelMap(voxels.voxel_m)
+    slots = part.allocate(voxels.coords[kept])
+    part.log_odds[slots] = voxels.log_odds[kept]
+    part.seen[slots] = voxels.seen[kept]
+    return part
+
+
+def check_memory(path: Path, blocks: int) -> None:
+    """Refuse a file whose map would not fit.
+
+    Raises:
+        MapFileError: It needs more than half of the memory that is free.
+    """
+    needed = blocks * VOXELS_PER_BLOCK * BYTES_PER_VOXEL
+    free = psutil.virtual_memory().available
+    if needed > free / 2:
+        raise MapFileError(
+            f"{path}: its map would need {needed / 1e9:.3g} GB and {free / 1e9:.3g} GB are free; "
+            "the file is damaged, or wants a larger machine"
+        )

@@ -1,0 +1,85 @@
+"""Heights as GeoTIFF (OGC 19-008r4): band 1 the height, band 2 its uncertainty, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from insonify.errors import OutputError
+from insonify.io.extras import optional
+from insonify.io.maps.heights import height_grid
+from insonify.mapping.voxels import VoxelMap
+
+_BANDS = """<GDALMetadata>
+<Item name="DESCRIPTION" sample="0" role="description">height, m</Item>
+<Item name="DESCRIPTION" sample="1" role="description">uncertainty (1 sigma), m</Item>
+</GDALMetadata>"""
+_ASCII, _SHORT, _DOUBLE = 2, 3, 12
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """Where the world's origin lies on the Earth: WGS 84.
+
+    Raises:
+        OutputError: There is no such place.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+
+    def __post_init__(self) -> None:
+        if not (abs(self.latitude_deg) < 90.0 and abs(self.longitude_deg) <= 180.0):
+            raise OutputError(
+                f"a datum of latitude {self.latitude_deg:g} and longitude {self.longitude_deg:g} "
+                "is not on the Earth; give degrees, as in 54.32,10.13"
+            )
+
+
+def save_geotiff(voxels: VoxelMap, path: Path, datum: Datum | None = None) -> None:
+    """Write the heights of a map.
+
+    Without a datum the file has our x and y and no reference system.  With one they are a
+    transverse Mercator projection about the datum, scale 1: within a centimetre of the local
+    plane up to 10 km away, at the datum's height.
+
+    Raises:
+        OutputError: No voxel is occupied.
+        MissingExtraError: The package tifffile is not installed.
+    """
+    tifffile = optional("tifffile", "maps", "a GeoTIFF")
+    grid = height_grid(voxels, path)
+    scale = (grid.cell_m, grid.cell_m, 0.0)
+    corner = (0.0, 0.0, 0.0, grid.west_m, grid.north_m, 0.0)
+    tags = [
+        (33550, _DOUBLE, 3, scale, True),
+        (33922, _DOUBLE, 6, corner, True),
+        (42112, _ASCII, len(_BANDS) + 1, _BANDS, True),
+        (42113, _ASCII, 4, "nan", True),
+    ]
+    tifffile.imwrite(
+        path,
+        np.stack([grid.height_m, grid.uncertainty_m]),
+        photometric="minisblack",
+        planarconfig="separate",
+        compression="zlib",
+        metadata=None,
+        software="insonify",
+        extratags=tags + (_projection(datum) if datum is not None else []),
+    )
+
+
+def _projection(datum: Datum) -> list[tuple[int, int, int, object, bool]]:
+    """The GeoTIFF keys of a transverse Mercator projection on WGS 84."""
+    doubles = (datum.longitude_deg, datum.latitude_deg, 0.0, 0.0, 1.0)
+    short = {1024: 1, 1025: 1, 2048: 4326, 3072: 32767, 3074: 32767, 3075: 1, 3076: 9001}
+    keys = [(key, 0, 1, value) for key, value in short.items()]
+    numbers = (3080, 3081, 3082, 3083, 3092)
+    keys += [(key, 34736, 1, place) for place, key in enumerate(numbers)]
+    directory = (1, 1, 0, len(keys), *(value for key in sorted(keys) for value in key))
+    return [
+        (34735, _SHORT, len(directory), directory, True),
+        (34736, _DOUBLE, len(doubles), doubles, True),
+    ]

@@ -1,0 +1,112 @@
+"""The height of the seabed and of what stands on it, with its uncertainty.
+
+The height of a column is that of its highest occupied voxel: the shoalest reading, as charts give
+it, since what a vehicle must not touch is the top.  A sonar's beam is wide in elevation, so that
+the top errs upwards, to the safe side.
+
+Its uncertainty follows from the map: going down the column, voxel k is the first to be occupied
+with the probability p_k times the product of 1 - p_j over the observed voxels above it.  Given is
+the root mean square distance of that first voxel from the height, and a voxel's own
+``voxel_m / sqrt(12)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from insonify.errors import OutputError
+from insonify.mapping.voxels import BLOCK, OBSERVED, VoxelMap
+from insonify.types import Float32
+
+MOST_CELLS = 100_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightGrid:
+    """Heights over a grid of the map's columns.
+
+    Attributes:
+        west_m: x of the grid's western edge.
+        north_m: y of its northern edge.
+        cell_m: Edge of a cell.
+        height_m: (rows, columns), the first row northernmost; not a number where nothing stands.
+        uncertainty_m: The same shape, one standard deviation.
+    """
+
+    west_m: float
+    north_m: float
+    cell_m: float
+    height_m: Float32
+    uncertainty_m: Float32
+
+
+def height_grid(voxels: VoxelMap, path: Path) -> HeightGrid:
+    """The highest occupied voxel of each column.
+
+    Raises:
+        OutputError: No voxel is occupied, or the grid would be too large.
+    """
+    slot, voxel = np.nonzero(voxels.seen & OBSERVED)
+    index = voxels.coords[slot].astype(np.int64) * BLOCK
+    index += np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
+    log_odds = voxels.log_odds[slot, voxel].astype(np.float64)
+    if not (log_odds > 0).any():
+        raise OutputError(
+            f"{path.name}: the map holds no occupied voxel, so that it has no heights"
+        )
+    order = np.lexsort((-index[:, 2], index[:, 1], index[:, 0]))
+    index, log_odds = index[order], log_odds[order]
+    column = np.r_[True, (np.diff(index[:, :2], axis=0) != 0).any(axis=1)]
+    which = np.cumsum(column) - 1
+    count = int(which[-1]) + 1
+
+    occupied = np.flatnonzero(log_odds > 0)
+    columns, first = np.unique(which[occupied], return_index=True)
+    top = np.full(count, np.nan)
+    top[columns] = index[occupied[first], 2]
+    missed = -np.logaddexp(0.0, log_odds)
+    above = np.cumsum(missed) - missed
+    above -= above[np.flatnonzero(column)][which]
+    weight = np.exp(above - np.logaddexp(0.0, -log_odds))
+    moment = np.bincount(which, weight * (index[:, 2] - top[which]) ** 2)
+    square = moment / np.bincount(which, weight) + 1.0 / 12.0
+    places = index[np.flatnonzero(column), :2]
+    return _grid(path, voxels.voxel_m, places[columns], top[columns], np.sqrt(square[columns]))
+
+
+def _grid(
+    path: Path, voxel_m: float, places: np.ndarray, top: np.ndarray, spread: np.ndarray
+) -> HeightGrid:
+    """Columns (N, 2) laid out as a grid, rows from north to south."""
+    low = places.min(axis=0)
+    width, height = (np.ptp(places, axis=0) + 1).tolist()
+    if width * height > MOST_CELLS:
+        raise OutputError(
+            f"{path.name}: a grid of {width} x {height} cells is too large; "
+            "export a map of one place"
+        )
+    heights, spreads = np.full((2, height, width), np.nan, np.float32)
+    rows, columns = height - 1 - (places[:, 1] - low[1]), places[:, 0] - low[0]
+    heights[rows, columns] = (top + 0.5) * voxel_m
+    spreads[rows, columns] = spread * voxel_m
+    return HeightGrid(
+        float(low[0] * voxel_m), float((low[1] + height) * voxel_m), voxel_m, heights, spreads
+    )
+
+
+def save_xyz(voxels: VoxelMap, path: Path) -> None:
+    """Write ``x y z uncertainty`` in metres, one column of the map a line, from north to south.
+
+    Raises:
+        OutputError: No voxel is occupied.
+    """
+    grid = height_grid(voxels, path)
+    rows, columns = np.nonzero(np.isfinite(grid.height_m))
+    x_m = grid.west_m + (columns + 0.5) * grid.cell_m
+    y_m = grid.north_m - (rows + 0.5) * grid.cell_m
+    found = (grid.height_m[rows, columns], grid.uncertainty_m[rows, columns])
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        np.savetxt(file, np.column_stack([x_m, y_m, *found]), fmt="%.4f")

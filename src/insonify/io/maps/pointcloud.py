@@ -1,0 +1,53 @@
+"""Voxels as a PLY point cloud, for programs that show points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
+from insonify.planning.entropy import binary_entropy
+from insonify.types import Box
+
+EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
+
+
+def save_point_cloud(
+    voxels: VoxelMap, path: Path, least_entropy: float = 0.99, region: Box = EVERYWHERE
+) -> None:
+    """Write a binary PLY point cloud of the voxels that are not known to be free.
+
+    Those are the occupied voxels, and in ``region`` those in view and undecided, with properties
+    ``x, y, z`` (centre, metres), ``probability`` and ``entropy``, sorted by x, y, z.
+
+    Args:
+        voxels: The map.
+        path: The file.
+        least_entropy: Entropy from which a voxel counts as undecided.
+        region: Where undecided voxels are of interest.
+    """
+    entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
+    corner = voxels.coords * voxels.block_m
+    near = np.logical_and(corner + voxels.block_m > region.low_m, corner < region.high_m)
+    undecided = (entropy >= least_entropy) & near.all(axis=1).reshape(-1, 1)
+    kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | undecided)
+    slot, voxel = np.nonzero(kept)
+    within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
+    index = voxels.coords[slot] * BLOCK + within
+    centre = (index + 0.5) * voxels.voxel_m
+    inside = ((centre >= region.low_m) & (centre <= region.high_m)).all(axis=1)
+    inside |= voxels.log_odds[slot, voxel] > 0.0
+    slot, voxel, index = slot[inside], voxel[inside], index[inside]
+    order = np.lexsort(index.T[::-1])
+    names = ("x", "y", "z", "probability", "entropy")
+    points = np.empty(len(index), [(name, "<f4") for name in names])
+    for axis, name in enumerate("xyz"):
+        points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order]
+    points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
+    points["entropy"] = entropy[slot, voxel][order]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [f"property float {name}" for name in names]
+    with path.open("wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        file.write(points.tobytes())
