@@ -12,7 +12,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from insonify.errors import GeometryError
-from insonify.io.plans import Datum, heading_deg, save_plan
+from insonify.io.datum import Datum
+from insonify.io.plans import heading_deg, save_plan
 from insonify.types import Pose, ScanPath
 
 PATH = ScanPath((Pose(0.0, 0.0, -15.0), Pose(100.0, 200.0, -15.0, yaw_rad=math.pi / 2)))

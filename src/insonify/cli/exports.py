@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from insonify.cli.root import JsonOption, app
-from insonify.errors import OutputError
-
-if TYPE_CHECKING:
-    from insonify.io.maps import Datum
+from insonify.cli.root import JsonOption, app, datum_from_text
 
 
 @app.command()
@@ -28,7 +24,9 @@ def export(
     ],
     datum: Annotated[
         str | None,
-        typer.Option(metavar="LAT,LON", help="Where the origin lies, degrees WGS 84; for .tif."),
+        typer.Option(
+            metavar="'LAT LON'", help="Where the origin lies, degrees (WGS 84); for .tif."
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT.")] = False,
     as_json: JsonOption = False,
@@ -38,7 +36,7 @@ def export(
     from insonify.io.maps import load_map, save_map
     from insonify.mapping.voxels import OBSERVED
 
-    place = _datum(datum)
+    place = datum_from_text(datum) if datum is not None else None
     voxels = load_map(source)
     with result_file(target, force=force) as scratch:
         save_map(voxels, scratch, datum=place)
@@ -57,17 +55,3 @@ def export(
             f"{target}: {row['bytes']:,} bytes, from {row['observed_voxels']:,} observed voxels of "
             f"{voxels.voxel_m:g} m, {row['occupied_voxels']:,} of them occupied"
         )
-
-
-def _datum(text: str | None) -> Datum | None:
-    from insonify.io.maps import Datum
-
-    if text is None:
-        return None
-    try:
-        latitude, longitude = map(float, text.split(","))
-    except ValueError as err:
-        raise OutputError(
-            f"--datum takes LAT,LON in degrees, as in 54.32,10.13, not {text!r}"
-        ) from err
-    return Datum(latitude, longitude)

@@ -10,11 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from insonify.cli.root import JsonOption, SetOption, app, print_listing, single_layers
+from insonify.cli.root import (
+    JsonOption,
+    SetOption,
+    app,
+    datum_from_text,
+    print_listing,
+    single_layers,
+)
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
-    from insonify.io.plans import Datum
     from insonify.mapping.voxels import VoxelMap
     from insonify.planning.active import EntropySettings
     from insonify.planning.decision import Decision
@@ -26,7 +32,7 @@ if TYPE_CHECKING:
 @app.command()
 def plan(
     map_: Annotated[
-        Path, typer.Argument(metavar="MAP", help="A map.npz, or a result folder that has one.")
+        Path, typer.Argument(metavar="MAP", help="Result folder, or .npz, .zarr, .ot, .bt.")
     ],
     from_: Annotated[
         str,
@@ -64,7 +70,7 @@ def plan(
     from insonify.replay import clearance_m, plan_next
 
     pose = _pose(from_)
-    place = _datum(datum) if datum is not None else None
+    place = datum_from_text(datum) if datum is not None else None
     entropy = _entropy(settings)
     file = map_ / "map.npz" if map_.is_dir() else map_
     voxels = load_map(file)
@@ -105,21 +111,6 @@ def _pose(text: str) -> Pose:
             f"--from takes x, y, z in metres and yaw in degrees, as in '0 0 -15 90', not {text!r}"
         ) from err
     return Pose(x, y, z, yaw_rad=math.radians(yaw))
-
-
-def _datum(text: str) -> Datum:
-    from insonify.io.plans import Datum
-
-    try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3):
-        raise GeometryError(
-            f"--datum takes latitude and longitude in degrees and a height in metres, as in "
-            f"'41.5 -71.3 0', not {text!r}"
-        )
-    return Datum(*numbers)
 
 
 def _entropy(settings: list[str] | None) -> EntropySettings:

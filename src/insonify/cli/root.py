@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from insonify.errors import ConfigError
+from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from insonify.io.datum import Datum
     from insonify.scenarios import Config, Table
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
@@ -108,6 +109,26 @@ def interruptible() -> Iterator[Callable[[], bool]]:
         yield lambda: asked
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def datum_from_text(text: str) -> Datum:
+    """The place of a --datum.
+
+    Raises:
+        GeometryError: It is not two or three numbers, or no place on the Earth.
+    """
+    from insonify.io.datum import Datum
+
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3):
+        raise GeometryError(
+            f"--datum takes latitude and longitude in degrees and a height in metres, as in "
+            f"'41.5 -71.3 0', not {text!r}"
+        )
+    return Datum(*numbers)
 
 
 def stderr() -> Console:

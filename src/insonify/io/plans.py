@@ -10,13 +10,10 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pymap3d
-
-from insonify.errors import GeometryError
+from insonify.io.datum import Datum
 from insonify.io.recordings import messages
 from insonify.io.recordings.mcap_writing import McapWriter
 from insonify.types import Pose, ScanPath
@@ -24,37 +21,6 @@ from insonify.types import Pose, ScanPath
 _WAYPOINT, _RELATIVE_ALTITUDE, _ARDUPILOT, _SUBMARINE = 16, 3, 3, 12
 """MAVLink's numbers: MAV_CMD_NAV_WAYPOINT, MAV_FRAME_GLOBAL_RELATIVE_ALT,
 MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_SUBMARINE."""
-
-
-@dataclass(frozen=True, slots=True)
-class Datum:
-    """Where the map's origin lies on WGS 84.
-
-    Raises:
-        GeometryError: It lies nowhere.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height_m: float = 0.0
-
-    def __post_init__(self) -> None:
-        values = (self.latitude_deg, self.longitude_deg, self.height_m)
-        if not (
-            all(map(math.isfinite, values))
-            and abs(self.latitude_deg) <= 90.0
-            and abs(self.longitude_deg) <= 180.0
-            and abs(self.height_m) < 20_000.0
-        ):
-            raise GeometryError(
-                f"a datum is latitude, longitude (deg) and height (m), not {values}"
-            )
-
-    def geodetic(self, pose: Pose) -> tuple[float, float, float]:
-        """Latitude and longitude in degrees and height in metres of a pose of the map."""
-        origin = (self.latitude_deg, self.longitude_deg, self.height_m)
-        latitude, longitude, height = pymap3d.enu2geodetic(*pose.position_m, *origin)
-        return float(latitude), float(longitude), float(height)
 
 
 def heading_deg(pose: Pose) -> float:

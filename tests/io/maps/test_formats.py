@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from insonify.errors import MapFileError, MissingExtraError, OutputError
-from insonify.io.maps import LOADED, SAVED, Datum, load_map, save_map
+from insonify.io.datum import Datum
+from insonify.io.maps import LOADED, SAVED, load_map, save_map
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
 from insonify.types import Array, Box
 
@@ -196,8 +197,6 @@ def test_what_cannot_be_written_or_read_is_said(
         save_map(voxels, tmp_path / "m.pcd")
     with pytest.raises(OutputError, match="GeoTIFF"):
         save_map(voxels, tmp_path / "m.ply", datum=Datum(1.0, 2.0))
-    with pytest.raises(OutputError, match="not on the Earth"):
-        Datum(91.0, 0.0)
     for suffix in (".glb", ".stl", ".tif", ".xyz"):
         with pytest.raises(OutputError, match="no occupied voxel"):
             save_map(VoxelMap(0.1), tmp_path / f"m{suffix}")

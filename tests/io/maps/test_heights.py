@@ -10,7 +10,8 @@ import rasterio
 from rasterio.crs import CRS
 from rasterio.warp import transform
 
-from insonify.io.maps import Datum, save_map
+from insonify.io.datum import Datum
+from insonify.io.maps import save_map
 from insonify.io.maps.heights import height_grid
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
 

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from insonify.errors import MapFileError, OutputError
+from insonify.io.datum import Datum
 from insonify.io.maps.blocks import cropped
 from insonify.io.maps.chunks import load_zarr, save_zarr
-from insonify.io.maps.geotiff import Datum, save_geotiff
+from insonify.io.maps.geotiff import save_geotiff
 from insonify.io.maps.heights import save_xyz
 from insonify.io.maps.native import load_npz, save_npz
 from insonify.io.maps.octomap import load_octomap, save_octomap
@@ -18,7 +19,7 @@ from insonify.io.maps.vdb import save_vdb
 from insonify.mapping.voxels import VoxelMap
 from insonify.types import Box
 
-__all__ = ["LOADED", "SAVED", "Datum", "load_map", "save_map", "save_point_cloud"]
+__all__ = ["LOADED", "SAVED", "load_map", "save_map", "save_point_cloud"]
 
 LOADED = (".npz", ".zarr", ".ot", ".bt")
 _SAVERS: dict[str, Callable[[VoxelMap, Path], None]] = {

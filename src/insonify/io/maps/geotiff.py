@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import OutputError
+from insonify.io.datum import Datum
 from insonify.io.extras import optional
 from insonify.io.maps.heights import height_grid
 from insonify.mapping.voxels import VoxelMap
@@ -17,25 +16,6 @@ _BANDS = """<GDALMetadata>
 <Item name="DESCRIPTION" sample="1" role="description">uncertainty (1 sigma), m</Item>
 </GDALMetadata>"""
 _ASCII, _SHORT, _DOUBLE = 2, 3, 12
-
-
-@dataclass(frozen=True, slots=True)
-class Datum:
-    """Where the world's origin lies on the Earth: WGS 84.
-
-    Raises:
-        OutputError: There is no such place.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-
-    def __post_init__(self) -> None:
-        if not (abs(self.latitude_deg) < 90.0 and abs(self.longitude_deg) <= 180.0):
-            raise OutputError(
-                f"a datum of latitude {self.latitude_deg:g} and longitude {self.longitude_deg:g} "
-                "is not on the Earth; give degrees, as in 54.32,10.13"
-            )
 
 
 def save_geotiff(voxels: VoxelMap, path: Path, datum: Datum | None = None) -> None:
