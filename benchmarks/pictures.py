@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
+import tempfile
+import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 from scipy.ndimage import minimum_filter, uniform_filter
 
+from benchmarks.chromium import chromium, missing
 from insonify.io.recordings import open_recording
 from insonify.report.fans import INK, draw_fan, fan_pixels, png
+from insonify.report.html import write_report
 from insonify.report.pictures import draw_decision, draw_slices
 from insonify.runs import execute
 from insonify.scenarios import scenario_config
@@ -25,8 +32,12 @@ from insonify.sonar.devices import SonarDevice
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.physical import PhysicalSettings
 from insonify.types import Float32, Float64, Ping, Pose
+from insonify.view.page import Page
+from insonify.view.story import Story
 
 FOLDER = Path("docs/images")
+_ARROW_LEFT = "\ue012"
+"""What WebDriver calls the key."""
 RECORDINGS = Path("../shared/data/recordings")
 
 
@@ -37,6 +48,47 @@ def scan() -> None:
     (FOLDER / "wreck-decision.png").write_bytes(draw_decision(run, run.snapshots[0], 1))
     (FOLDER / "wreck-ping.png").write_bytes(draw_fan(ping, "wreck, scan 2"))
     (FOLDER / "wreck-map.png").write_bytes(draw_slices(run))
+
+
+def pages() -> None:
+    """The report and the view of a scan of the wreck, in a browser."""
+    story = Story("wreck, entropy planner, seed 0")
+    run = execute(scenario_config("wreck"), watch=story.watch)
+    with tempfile.TemporaryDirectory() as folder, chromium(1500, 950) as browser:
+        report = Path(folder) / "report.html"
+        write_report(run, report)
+        browser.get(report.as_uri())
+        _when(browser, "#scene .gl-container canvas")
+        _photograph(browser, "report.png")
+        page = Page(story)
+        browser.get(page.url)
+        _when(browser, "img[alt='sonar image']")
+        back = run.pings - run.config.survey.waypoints * 3 // 2
+        slider = browser.find_element("css selector", "[role=slider]")
+        slider.send_keys(*[_ARROW_LEFT] * (run.pings - back))
+        for label in ("true object", "true seabed"):
+            box = f"//*[normalize-space(text())='{label}']/following::input[@type='checkbox'][1]"
+            browser.execute_script("arguments[0].click()", browser.find_element("xpath", box))
+        browser.execute_script(
+            "document.querySelectorAll('[class*=Notification-closeButton]').forEach(b=>b.click())"
+        )
+        _photograph(browser, "view.png")
+        page.close()
+
+
+def _when(browser: Any, selector: str) -> None:
+    """Wait until a page shows something."""
+    limit = time.monotonic() + 60.0
+    while not browser.find_elements("css selector", selector):
+        if time.monotonic() > limit:
+            raise TimeoutError(f"{browser.current_url} shows no {selector}")
+        time.sleep(0.2)
+
+
+def _photograph(browser: Any, name: str) -> None:
+    time.sleep(5.0)  # software draws slowly
+    picture = Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
+    picture.quantize(256).save(FOLDER / name, optimize=True)
 
 
 def experiments() -> None:
@@ -167,6 +219,10 @@ def main() -> None:
     scan()
     experiments()
     sphere()
+    if missing():
+        print(f"report.png and view.png stay as they are: {missing()}")
+    else:
+        pages()
     if RECORDINGS.is_dir():
         real()
     else:

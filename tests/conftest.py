@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.chromium import chromium, missing
 from hypothesis import settings
 
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
@@ -76,3 +77,20 @@ def make_map() -> MakeMap:
         return voxels
 
     return make
+
+
+@pytest.fixture(scope="session")
+def open_chromium() -> Iterator[Any]:
+    """One browser for all tests that need one."""
+    if missing():
+        pytest.skip(missing())
+    with chromium(1200, 900) as opened:
+        yield opened
+
+
+@pytest.fixture
+def browser(open_chromium: Any) -> Any:
+    """The browser with an empty page and an empty log."""
+    open_chromium.get("about:blank")
+    open_chromium.get_log("browser")
+    return open_chromium

@@ -32,6 +32,7 @@ LAYERS = [
     "io",
     "replay",
     "report",
+    "view",
     "cli",
     "__main__",
 ]

@@ -76,12 +76,15 @@ class Replay:
         }
 
 
+Watch = Callable[[Replay, Recording, int, RecordedPing], None]
+
+
 def map_recordings(
     recordings: Sequence[Recording],
     settings: MappingSettings,
     region: Box | None = None,
     *,
-    watch: Callable[[Recording, int], None] = lambda recording, ping: None,
+    watch: Watch = lambda replay, recording, number, recorded: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Replay:
     """Map recordings into one map, in their order.
@@ -90,7 +93,7 @@ def map_recordings(
         recordings: What was recorded; their poses share one world frame.
         settings: Voxel size and sensor model.
         region: Where entropy is counted; by default around the occupied voxels.
-        watch: Called after each ping with its recording and its number, from 1.
+        watch: Called after each ping with the replay, its recording, its number from 1, and itself.
         should_stop: Asked after each ping; if true the map is what it is by then.
 
     Raises:
@@ -117,7 +120,7 @@ def map_recordings(
 def _map_one(
     replay: Replay,
     recording: Recording,
-    watch: Callable[[Recording, int], None],
+    watch: Watch,
     should_stop: Callable[[], bool],
 ) -> None:
     kept = {(2 * k + 1) * recording.count // (2 * KEPT_PINGS) for k in range(KEPT_PINGS)}
@@ -136,7 +139,7 @@ def _map_one(
                 replay.keyframes.append((recording.path.name, pings, recorded))
         since = time.perf_counter()
         replay.seconds["mapping"] += since - now
-        watch(recording, pings)
+        watch(replay, recording, pings, recorded)
         if should_stop():
             break
     if pings == 0:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from insonify.io.configs import config_to_toml
 from insonify.report.fans import fan_pixels
@@ -40,55 +41,31 @@ def test_report_is_self_contained_and_shows_everything(report: Path) -> None:
     assert text.splitlines()[0] in body
 
 
-def test_report_opens_in_chromium_without_an_error(report: Path) -> None:
-    if not shutil.which("chromium") or not shutil.which("chromedriver"):
-        pytest.skip("needs chromium and chromedriver on the PATH (.ci/run installs them)")
-    from selenium import webdriver
+def test_report_opens_in_chromium_without_an_error(report: Path, browser: Any) -> None:
     from selenium.webdriver.common.by import By
     from selenium.webdriver.support.ui import WebDriverWait
 
-    options = webdriver.ChromeOptions()
-    for flag in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-dev-shm-usage",
-        "--disable-quic",
-        "--no-first-run",
-        "--disable-background-networking",
-        "--disable-component-update",
-        "--disable-sync",
-        "--enable-unsafe-swiftshader",
-        "--window-size=1200,900",
-        "--host-resolver-rules=MAP * ~NOTFOUND",
-    ):
-        options.add_argument(flag)
-    options.binary_location = str(shutil.which("chromium"))
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    service = webdriver.ChromeService(executable_path=shutil.which("chromedriver"))
-    with webdriver.Chrome(options=options, service=service) as browser:
-        browser.get(report.as_uri())
-        WebDriverWait(browser, 60).until(
-            lambda b: b.find_elements(By.CSS_SELECTOR, "#scene .gl-container canvas")
-        )
-        logs = browser.get_log("browser")  # type: ignore[no-untyped-call]
-        assert [entry for entry in logs if entry["level"] == "SEVERE"] == []
-        blank = browser.execute_script(
-            "return [...document.images].filter(i => !i.complete || i.naturalWidth < 50).length"
-        )
-        assert blank == 0
-        fetched = browser.execute_script(
-            "return performance.getEntriesByType('resource').filter("
-            "e => !e.name.startsWith('data:') && !e.name.startsWith('blob:')).map(e => e.name)"
-        )
-        assert fetched == []
-        scene = browser.find_element(By.ID, "scene")
-        browser.execute_script("arguments[0].scrollIntoView()", scene)
-        shot = report.with_name("scene.png")
-        assert scene.screenshot(str(shot))
-        from PIL import Image
-
-        colours = np.asarray(Image.open(shot).convert("RGB")).reshape(-1, 3)
-        assert len(np.unique(colours // 32, axis=0)) > 8, "the 3D scene is blank"
+    browser.get(report.as_uri())
+    WebDriverWait(browser, 60).until(
+        lambda b: b.find_elements(By.CSS_SELECTOR, "#scene .gl-container canvas")
+    )
+    logs = browser.get_log("browser")
+    assert [entry for entry in logs if entry["level"] == "SEVERE"] == []
+    blank = browser.execute_script(
+        "return [...document.images].filter(i => !i.complete || i.naturalWidth < 50).length"
+    )
+    assert blank == 0
+    fetched = browser.execute_script(
+        "return performance.getEntriesByType('resource').filter("
+        "e => !e.name.startsWith('data:') && !e.name.startsWith('blob:')).map(e => e.name)"
+    )
+    assert fetched == []
+    scene = browser.find_element(By.ID, "scene")
+    browser.execute_script("arguments[0].scrollIntoView()", scene)
+    shot = report.with_name("scene.png")
+    assert scene.screenshot(str(shot))
+    colours = np.asarray(Image.open(shot).convert("RGB")).reshape(-1, 3)
+    assert len(np.unique(colours // 32, axis=0)) > 8, "the 3D scene is blank"
 
 
 def test_fan_view_puts_port_left_and_range_up() -> None:

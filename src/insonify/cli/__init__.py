@@ -24,6 +24,7 @@ from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import tours
 from insonify.cli import exports
+from insonify.cli import views
 from insonify.cli import listings
 
 # isort: on
@@ -38,6 +39,7 @@ __all__ = [
     "scans",
     "simulation",
     "tours",
+    "views",
 ]
 
 

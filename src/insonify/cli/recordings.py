@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,9 +24,9 @@ from insonify.cli.root import (
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
-    from insonify.io.recordings.recording import Reading, Recording
+    from insonify.io.recordings.recording import Reading, RecordedPing, Recording
     from insonify.mapping.bayes import MappingSettings
-    from insonify.replay import Replay
+    from insonify.replay import Replay, Watch
     from insonify.types import Box
 
 SonarOption = Annotated[
@@ -51,6 +51,15 @@ PoseTopicOption = Annotated[
     str | None, typer.Option("--pose-topic", metavar="TOPIC", help="Of a bag: the poses.")
 ]
 
+VoxelOption = Annotated[float, typer.Option(metavar="M", help="Edge length of a voxel.")]
+RegionOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'X0 Y0 Z0 X1 Y1 Z1'",
+        help="Where entropy counts; by default around what is occupied.",
+    ),
+]
+
 
 @app.command()
 def info(
@@ -69,7 +78,7 @@ def info(
     from insonify.io.recordings import open_recording
     from insonify.io.recordings.summary import summarise
 
-    reading = _reading(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
@@ -91,14 +100,8 @@ def map_(
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     sonar: SonarOption = None,
-    voxel: Annotated[float, typer.Option(metavar="M", help="Edge length of a voxel.")] = 0.1,
-    region: Annotated[
-        str | None,
-        typer.Option(
-            metavar="'X0 Y0 Z0 X1 Y1 Z1'",
-            help="Where entropy counts; by default around what is occupied.",
-        ),
-    ] = None,
+    voxel: VoxelOption = 0.1,
+    region: RegionOption = None,
     poses: PosesOption = None,
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
@@ -112,9 +115,9 @@ def map_(
     from insonify.io.recordings import open_recording
     from insonify.replay import map_recordings
 
-    mapping = _mapping(voxel, settings)
+    mapping = mapping_settings(voxel, settings)
     box = box_from_text(region) if region is not None else None
-    reading = _reading(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
         _say_what_is_assumed(recordings)
@@ -132,7 +135,7 @@ def map_(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-def _mapping(voxel_m: float, settings: list[str] | None) -> MappingSettings:
+def mapping_settings(voxel_m: float, settings: list[str] | None) -> MappingSettings:
     """Mapping settings from --voxel and --set mapping.KEY=VALUE."""
     from pydantic import ValidationError
 
@@ -215,7 +218,7 @@ def _write_map(replay: Replay, folder: Path) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[Recording, int], None]]:
+def _progress() -> Iterator[Watch]:
     """A progress bar on stderr over the pings of one recording after another."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -226,9 +229,11 @@ def _progress() -> Iterator[Callable[[Recording, int], None]]:
     ) as bar:
         task = bar.add_task("opening", total=None)
 
-        def watch(recording: Recording, ping: int) -> None:
+        def watch(
+            replay: Replay, recording: Recording, number: int, recorded: RecordedPing
+        ) -> None:
             name = recording.path.name
-            bar.update(task, completed=ping, total=recording.count, description=name)
+            bar.update(task, completed=number, total=recording.count, description=name)
 
         yield watch
 
@@ -249,13 +254,14 @@ def _result_rows(result: dict[str, Any]) -> list[list[str]]:
     ]  # fmt: skip
 
 
-def _reading(
+def reading_of(
     sonar: str | None,
     poses: Path | None,
     clock_offset_s: float,
     sonar_topic: str | None,
     pose_topic: str | None,
 ) -> Reading:
+    """What the options say of a recording."""
     from insonify.io.recordings.recording import Reading
     from insonify.sonar.devices import named_device
 

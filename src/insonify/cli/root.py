@@ -92,7 +92,9 @@ def configure(
 
 
 @contextmanager
-def interruptible() -> Iterator[Callable[[], bool]]:
+def interruptible(
+    ending: str = "finishing with what is complete; Ctrl-C again discards it",
+) -> Iterator[Callable[[], bool]]:
     """Turn the first Ctrl-C into a question that the run asks; the second stops at once."""
     asked = False
 
@@ -101,8 +103,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
         if asked:
             raise Interrupted
         asked = True
-        text = "insonify: finishing with what is complete; Ctrl-C again discards it"
-        print(text, file=sys.stderr)
+        print(f"insonify: {ending}", file=sys.stderr)
 
     before = signal.signal(signal.SIGINT, ask)
     try:

@@ -40,6 +40,7 @@ from insonify.cli.vehicles import (
     vehicle_table,
     wall_clock,
 )
+from insonify.cli.views import live_page, serve
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -66,6 +67,9 @@ def scan(
     current: CurrentOption = None,
     navigation: NavigationOption = None,
     real_time: RealTimeOption = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show the scan in the browser while it runs.")
+    ] = False,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -96,11 +100,12 @@ def scan(
         if known:
             print(f"insonify: going on after the {known} pings of a scan that was broken off",
                   file=sys.stderr)  # fmt: skip
+        page = live_page(name) if live else None
         with _progress() as show, recording(place.scratch) as record:
             run = execute(
                 full,
                 remembered=past,
-                watch=_both(show, record),
+                watch=_each(show, record, *([page.watch] if page else [])),
                 should_stop=interrupted,
                 pace=pace,
             )
@@ -117,6 +122,9 @@ def scan(
     if interrupted():
         print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
+    if page is not None:
+        print("insonify: the view stays open until Ctrl-C", file=sys.stderr)
+        serve(page)
 
 
 @app.command()
@@ -201,14 +209,12 @@ def _write_results(run: Run, folder: Path) -> None:
     write_report(run, folder / "report.html")
 
 
-def _both(
-    first: Callable[[Run, Step], None], second: Callable[[Run, Step], None]
-) -> Callable[[Run, Step], None]:
-    """Two consumers of a run's steps as one."""
+def _each(*consumers: Callable[[Run, Step], None]) -> Callable[[Run, Step], None]:
+    """Several consumers of a run's steps as one."""
 
     def watch(run: Run, step: Step) -> None:
-        first(run, step)
-        second(run, step)
+        for consumer in consumers:
+            consumer(run, step)
 
     return watch
 

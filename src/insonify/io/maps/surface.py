@@ -96,10 +96,10 @@ def exposed_squares(index: Array) -> tuple[Array, Array]:
 
 
 def probability_colours(probability: Float32) -> Array:
-    """RGBA bytes (N, 4) of occupied voxels: from yellow where in doubt to deep blue where sure."""
+    """RGBA bytes (N, 4) of occupied voxels: from deep blue where in doubt to yellow where sure."""
     from matplotlib import colormaps
 
-    colours: Array = colormaps["viridis"](np.clip(2.0 - 2.0 * probability, 0, 1), bytes=True)
+    colours: Array = colormaps["viridis"](np.clip(2.0 * probability - 1.0, 0, 1), bytes=True)
     return colours
 
 

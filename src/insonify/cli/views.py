@@ -1,0 +1,100 @@
+"""Runs, maps and recordings in the browser."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from insonify.cli.recordings import (
+    OffsetOption,
+    PosesOption,
+    PoseTopicOption,
+    RegionOption,
+    SonarOption,
+    SonarTopicOption,
+    VoxelOption,
+    box_from_text,
+    mapping_settings,
+    reading_of,
+)
+from insonify.cli.root import JsonOption, SetOption, app, interruptible, stderr
+
+if TYPE_CHECKING:
+    from insonify.view.page import Page
+
+HostOption = Annotated[str, typer.Option(help="Address to serve at; 0.0.0.0 for other machines.")]
+PortOption = Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")]
+
+
+@app.command()
+def view(
+    path: Annotated[
+        Path, typer.Argument(metavar="RUN|MAP|RECORDING", help="Result folder, map or recording.")
+    ],
+    sonar: SonarOption = None,
+    voxel: VoxelOption = 0.1,
+    region: RegionOption = None,
+    poses: PosesOption = None,
+    clock_offset: OffsetOption = 0.0,
+    sonar_topic: SonarTopicOption = None,
+    pose_topic: PoseTopicOption = None,
+    settings: SetOption = None,
+    host: HostOption = "127.0.0.1",
+    port: PortOption = 8080,
+    as_json: JsonOption = False,
+) -> None:
+    """Show a run, a map or a recording in the browser, ping by ping."""
+    from insonify.view.page import Page
+    from insonify.view.sources import open_story
+
+    mapping = mapping_settings(voxel, settings)
+    box = box_from_text(region) if region is not None else None
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    with _progress() as watch:
+        story = open_story(path, reading, mapping, box, watch=watch)
+    page = Page(story, host, port)
+    if as_json:
+        print(json.dumps({"url": page.url, "pings": len(story.moments)}), flush=True)
+    else:
+        print(f"View: {page.url}  (Ctrl-C ends it)", file=sys.stderr)
+    serve(page)
+
+
+def live_page(title: str) -> Page:
+    """A page that waits for a run to be told to its story."""
+    from insonify.view.page import Page
+    from insonify.view.story import Story
+
+    page = Page(Story(title))
+    print(f"View: {page.url}", file=sys.stderr)
+    return page
+
+
+def serve(page: Page) -> None:
+    """Keep a page open until Ctrl-C."""
+    with interruptible("closing the view") as interrupted:
+        while not interrupted():
+            time.sleep(0.1)
+    page.close()
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = stderr()
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("opening", total=None)
+        yield lambda name, done, count: bar.update(
+            task, completed=done, total=count, description=name
+        )

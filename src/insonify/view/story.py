@@ -1,0 +1,166 @@
+"""What the page can show: every ping of a run or recording, and the map as it was after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from insonify.mapping.voxels import VoxelMap
+from insonify.mission import Decided, Ended, Mapped, Pinged, Step
+from insonify.planning.decision import Decision
+from insonify.runs import Run
+from insonify.types import Array, Box, FanGeometry, Ping, Pose
+from insonify.view.cubes import Cubes, occupied_cubes, undecided_cubes
+
+MOST_BYTES = 256 << 20
+"""Memory for the sonar images of a story, and for the pictures of its map."""
+
+Item = TypeVar("Item")
+
+
+class Thinned(Generic[Item]):
+    """Items of a sequence of unknown length within a memory limit: all, then every second..."""
+
+    def __init__(self, most_bytes: int = MOST_BYTES, stride: int = 1) -> None:
+        """Empty; ``stride`` is what it begins with."""
+        self.stride = stride
+        self._most_bytes = most_bytes
+        self._kept: dict[int, tuple[Item, int]] = {}
+        self._last: tuple[int, Item] | None = None
+
+    def wants(self, number: int) -> bool:
+        """Whether item ``number``, counted from 1, would be kept."""
+        return (number - 1) % self.stride == 0
+
+    def add(self, number: int, item: Item, size_bytes: int) -> None:
+        """Take an item; the last one added is kept whatever its number."""
+        self._last = (number, item)
+        if self.wants(number):
+            self._kept[number] = (item, size_bytes)
+        while len(self._kept) > 1 and sum(s for _, s in self._kept.values()) > self._most_bytes:
+            self.stride *= 2
+            self._kept = {n: kept for n, kept in self._kept.items() if self.wants(n)}
+
+    def at(self, number: int) -> tuple[int, Item] | None:
+        """The last item kept up to a number, with its own number; None before the first."""
+        last = self._last
+        if last is not None and last[0] <= number:
+            return last
+        nearest = (number - 1) // self.stride * self.stride + 1
+        while nearest > 0:
+            if nearest in self._kept:
+                return nearest, self._kept[nearest][0]
+            nearest -= self.stride
+        return None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """One ping.
+
+    Attributes:
+        time_s: When.
+        geometry: The fan that was looked at.
+        pose: The vehicle's, as it was believed to be; None if nobody says.
+        true_pose: Where it really was, if that is known and another.
+        scan: Number of the scan, from 1.
+    """
+
+    time_s: float
+    geometry: FanGeometry
+    pose: Pose | None
+    true_pose: Pose | None
+    scan: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapPicture:
+    """The map at a moment: occupied voxels inside the region and outside it, and undecided ones."""
+
+    occupied: Cubes
+    elsewhere: Cubes
+    undecided: Cubes
+
+    @property
+    def size_bytes(self) -> int:
+        """Memory that it takes."""
+        return sum(part.size_bytes for part in (self.occupied, self.elsewhere, self.undecided))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A part of the true world: its name, vertices (N, 3) metres and faces (M, 3)."""
+
+    name: str
+    vertices: Array
+    faces: Array
+
+
+@dataclass(slots=True, eq=False)
+class Story:
+    """What happened, growing while it happens.
+
+    Attributes:
+        title: What it is of.
+        moments: The pings in order.
+        images: Their images, (bins, beams) uint8.
+        maps: The map after them; of a story without pings at number 0.
+        decisions: What the planner answered, each with the number of pings mapped before it.
+        world: The true world, if it is known.
+        region: Where uncertainty counts.
+        end: Why it ended, as a sentence.
+        changed: Called after each change.
+    """
+
+    title: str
+    moments: list[Moment] = field(default_factory=list)
+    images: Thinned[Array] = field(default_factory=Thinned)
+    maps: Thinned[MapPicture] = field(default_factory=Thinned)
+    decisions: list[tuple[int, Decision]] = field(default_factory=list)
+    world: tuple[Solid, ...] = ()
+    region: Box | None = None
+    end: str = ""
+    changed: Callable[[], None] = lambda: None
+
+    def add_ping(
+        self, ping: Ping, pose: Pose | None, true_pose: Pose | None = None, scan: int = 1
+    ) -> None:
+        """Note a ping."""
+        other = None if true_pose == pose else true_pose
+        self.moments.append(Moment(ping.time_s, ping.geometry, pose, other, scan))
+        grey = np.round(np.clip(ping.image, 0.0, 1.0) * 255.0).astype(np.uint8)
+        self.images.add(len(self.moments), grey, grey.nbytes)
+
+    def add_map(self, voxels: VoxelMap, region: Box) -> None:
+        """Note the map as it is after the last ping noted."""
+        picture = MapPicture(*occupied_cubes(voxels, region), undecided_cubes(voxels, region))
+        self.maps.add(len(self.moments), picture, picture.size_bytes)
+        self.region = region
+
+    def decision_at(self, number: int) -> Decision | None:
+        """The last decision when ``number`` pings were mapped."""
+        made = [decision for after, decision in self.decisions if after <= number]
+        return made[-1] if made else None
+
+    def watch(self, run: Run, step: Step) -> None:
+        """Note a step of a run: a consumer of the mission, like progress or a recording."""
+        if not self.world:
+            scene = run.world.scene
+            self.world = tuple(
+                Solid(name, vertices, faces)
+                for name, (vertices, faces) in zip(scene.labels, scene.meshes, strict=True)
+            )
+            self.region = run.world.area.region
+        if isinstance(step, Decided):
+            self.decisions.append((run.pings, step.decision))
+        elif isinstance(step, Pinged):
+            self.add_ping(step.ping, step.pose, run.true_pose(step.pose), len(run.paths))
+        elif isinstance(step, Mapped) and self.maps.wants(len(self.moments)):
+            self.add_map(run.mapper.voxels, run.world.area.region)
+        elif isinstance(step, Ended):
+            self.add_map(run.mapper.voxels, run.world.area.region)
+            self.end = step.reason.value
+        self.changed()

@@ -1,0 +1,152 @@
+"""The page in a real browser, from the real command: no console errors, and the slider works."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from insonify.errors import MissingExtraError, OutputError
+from insonify.types import Array
+from insonify.view.page import Page
+from insonify.view.story import Story
+
+SMALL = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=8"]
+PATIENCE_S = 60.0
+
+
+@contextmanager
+def _command(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """The command, ended by Ctrl-C when the block ends."""
+    line = [sys.executable, "-m", "insonify", *arguments]
+    with subprocess.Popen(
+        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            _, told = process.communicate(timeout=PATIENCE_S)
+            assert told.endswith("insonify: closing the view\n")
+
+
+def _until(what: Callable[[], Any]) -> Any:
+    limit = time.monotonic() + PATIENCE_S
+    while time.monotonic() < limit:
+        found = what()
+        if found is not None and found is not False:
+            return found
+        time.sleep(0.1)
+    pytest.fail(f"waited {PATIENCE_S:g} s in vain")
+
+
+def _text(browser: Any) -> str:
+    return str(browser.execute_script("return document.body.innerText"))
+
+
+def _canvas(browser: Any) -> Array:
+    element = browser.find_element("css selector", "canvas")
+    return np.asarray(Image.open(io.BytesIO(element.screenshot_as_png)).convert("RGB"), int)
+
+
+def _changes(browser: Any, before: Array) -> Array:
+    """The canvas, once it differs from what it was."""
+    found: Array = _until(lambda: _different(before, _canvas(browser)))
+    return found
+
+
+def _different(before: Array, now: Array) -> Array | None:
+    return now if (np.abs(now - before).max(axis=2) > 24).mean() > 1e-3 else None
+
+
+def _no_errors(browser: Any) -> None:
+    logs = browser.get_log("browser")
+    assert [entry for entry in logs if entry["level"] == "SEVERE"] == []
+
+
+def _tick(browser: Any, label: str) -> None:
+    box = browser.find_element(
+        "xpath", f"//*[normalize-space(text())='{label}']/following::input[@type='checkbox'][1]"
+    )
+    browser.execute_script("arguments[0].click()", box)
+
+
+def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "insonify", "scan", "tetrapod", *SMALL, "--out", str(run)]
+    subprocess.run(command, check=True, capture_output=True)
+    result = json.loads((run / "result.json").read_text())
+    with _command("view", str(run), "--json", "--port", "8190") as process:
+        assert process.stdout is not None
+        said = json.loads(process.stdout.readline())
+        assert said["pings"] == result["pings"]
+        browser.get(said["url"])
+        _until(lambda: f"ping {said['pings']} of {said['pings']}" in _text(browser))
+        assert result["stop_reason"] in _text(browser)
+        picture = browser.find_element("css selector", "img[alt='sonar image']")
+        last = picture.get_attribute("src")
+        assert picture.get_property("naturalWidth") == 560
+        _until(lambda: len(np.unique(_canvas(browser).reshape(-1, 3) // 32, axis=0)) > 8)
+        before = _canvas(browser)
+
+        slider = browser.find_element("css selector", "[role=slider]")
+        slider.send_keys(*[Keys.ARROW_LEFT] * 6)
+        _until(lambda: f"ping {said['pings'] - 6} of {said['pings']}" in _text(browser))
+        assert result["stop_reason"] not in _text(browser)
+        source = "return document.querySelector(\"img[alt='sonar image']\").src"
+        _until(lambda: browser.execute_script(source) != last)
+        before = _changes(browser, before)
+
+        for label in ("true object", "entropy", "occupied voxels"):
+            _tick(browser, label)
+            before = _changes(browser, before)
+        _no_errors(browser)
+    assert process.returncode == 0
+
+
+def test_a_scan_is_shown_while_it_runs(tmp_path: Path, browser: Any) -> None:
+    arguments = ["scan", "tetrapod", *SMALL, "--planner", "uniform", "--live"]
+    with _command(*arguments, "--out", str(tmp_path / "run")) as process:
+        assert process.stderr is not None
+        url = process.stderr.readline().removeprefix("View: ").strip()
+        browser.get(url)
+        _until(lambda: "All planned scans are flown" in _text(browser))
+        _until(lambda: (tmp_path / "run" / "result.json").is_file())
+        result = json.loads((tmp_path / "run" / "result.json").read_text())
+        count, scans = result["pings"], result["scans"]
+        assert f"ping {count} of {count}, scan {scans}" in _text(browser)
+        assert "stays open" in process.stderr.readline() + process.stderr.readline()
+        _no_errors(browser)
+    assert process.returncode == 0
+
+
+def test_what_the_page_needs_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(OutputError, match=r"cannot be served at 203\.0\.113\.1:8195"):
+        Page(Story("nowhere"), host="203.0.113.1", port=8195)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'insonify\[view\]'"):
+        Page(Story("nothing"))
+
+
+def test_a_port_in_use_is_passed_over() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        page = Page(Story("next"), port=port)
+        page.close()
+    assert page.url != f"http://127.0.0.1:{port}"
