@@ -46,7 +46,7 @@ def _until(what: Callable[[], Any]) -> Any:
     limit = time.monotonic() + PATIENCE_S
     while time.monotonic() < limit:
         found = what()
-        if found is not None and found is not False:
+        if found:
             return found
         time.sleep(0.1)
     pytest.fail(f"waited {PATIENCE_S:g} s in vain")
@@ -62,13 +62,25 @@ def _canvas(browser: Any) -> Array:
 
 
 def _changes(browser: Any, before: Array) -> Array:
-    """The canvas, once it differs from what it was."""
-    found: Array = _until(lambda: _different(before, _canvas(browser)))
-    return found
+    """The canvas, once it differs from what it was and stands still."""
+    _until(lambda: _different(before, _canvas(browser)))
+    return _settled(browser)
 
 
-def _different(before: Array, now: Array) -> Array | None:
-    return now if (np.abs(now - before).max(axis=2) > 24).mean() > 1e-3 else None
+def _settled(browser: Any) -> Array:
+    seen = [_canvas(browser)]
+
+    def still() -> bool:
+        time.sleep(0.5)
+        seen.append(_canvas(browser))
+        return not _different(seen[-2], seen[-1])
+
+    _until(still)
+    return seen[-1]
+
+
+def _different(before: Array, now: Array) -> bool:
+    return bool((np.abs(now - before).max(axis=2) > 24).mean() > 1e-3)
 
 
 def _no_errors(browser: Any) -> None:
@@ -101,7 +113,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         last = picture.get_attribute("src")
         assert picture.get_property("naturalWidth") == 560
         _until(lambda: len(np.unique(_canvas(browser).reshape(-1, 3) // 32, axis=0)) > 8)
-        before = _canvas(browser)
+        before = _settled(browser)
 
         slider = browser.find_element("css selector", "[role=slider]")
         slider.send_keys(*[Keys.ARROW_LEFT] * 6)
@@ -111,7 +123,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         _until(lambda: browser.execute_script(source) != last)
         before = _changes(browser, before)
 
-        for label in ("true object", "entropy", "occupied voxels"):
+        for label in ("occupied voxels", "true object", "entropy"):
             _tick(browser, label)
             before = _changes(browser, before)
         _no_errors(browser)

@@ -79,19 +79,6 @@ def pointers(poses: Sequence[Pose], length_m: float) -> Float32:
     return np.stack([start, start + length_m * along], axis=1).astype(np.float32)
 
 
-def colour_bar(name: str, low: str, high: str, title: str) -> str:
-    """A legend as HTML: a matplotlib colour map between two numbers."""
-    stops = ", ".join(
-        "rgb({},{},{})".format(*colormaps[name](share, bytes=True)[:3])
-        for share in np.linspace(0, 1, 9)
-    )
-    return (
-        f'<div style="font-size:0.8em;padding:0 1em 0.4em">{title}'
-        f'<div style="height:0.7em;background:linear-gradient(90deg,{stops})"></div>'
-        f'<span>{low}</span><span style="float:right">{high}</span></div>'
-    )
-
-
 def overview(low_m: Float64, high_m: Float64) -> tuple[Float64, Float64]:
     """A camera that sees a box whole: its position, from the south and above, and what it faces."""
     middle = (low_m + high_m) / 2
