@@ -17,6 +17,8 @@ from PIL import Image
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from benchmarks.chromium import chromium, missing
+from insonify.datasets import Views, dataset_config
+from insonify.io.datasets import coco
 from insonify.io.recordings import open_recording
 from insonify.report.fans import INK, draw_fan, fan_pixels, png
 from insonify.report.html import write_report
@@ -38,7 +40,7 @@ from insonify.view.story import Story
 FOLDER = Path("docs/images")
 _ARROW_LEFT = "\ue012"
 """What WebDriver calls the key."""
-RECORDINGS = Path("../shared/data/recordings")
+RECORDINGS, WORLDS = Path("../shared/data/recordings"), Path("../shared/data/worlds")
 
 
 def scan() -> None:
@@ -74,6 +76,22 @@ def pages() -> None:
         )
         _photograph(browser, "view.png")
         page.close()
+
+
+def views() -> None:
+    """Views of a dataset of the real wreck's site, each beside its mask."""
+    world = str(WORLDS / "sunken_ship_site.world")
+    config = dataset_config(world, [{"sonar": {"preset": "gemini-720i", "range_max_m": 50.0}}])
+    made = Views(config, build_scene(world))
+    tiles = []
+    for number in range(8):
+        view = made.view(number)
+        assert view.truth is not None
+        for png_bytes in (coco.image_png(view.ping), coco.mask_png(view.truth)):
+            tile = Image.open(io.BytesIO(png_bytes)).convert("RGB")
+            tiles.append(np.asarray(tile.resize((190, 380))))
+    rows = [np.concatenate(tiles[k : k + 8], axis=1) for k in (0, 8)]
+    Image.fromarray(np.concatenate(rows)).quantize(128).save(FOLDER / "dataset.png", optimize=True)
 
 
 def _when(browser: Any, selector: str) -> None:
@@ -225,8 +243,9 @@ def main() -> None:
         pages()
     if RECORDINGS.is_dir():
         real()
+        views()
     else:
-        print(f"{RECORDINGS} is not here; real-and-simulated.png stays as it is")
+        print(f"{RECORDINGS} is not here; real-and-simulated.png and dataset.png stay as they are")
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ LAYERS = [
     "scenarios",
     "simulation",
     "tours",
+    "datasets",
     "runs",
     "comparison",
     "io",

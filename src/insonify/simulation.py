@@ -48,19 +48,13 @@ from insonify.types import Float32, Float64, Ping, Pose, Trajectory
 Row = tuple[float, float, float, float, float, float, float]
 
 
-class Simulation(BaseModel):
-    """All that is needed to simulate the same images again."""
+class Imaging(BaseModel):
+    """What is looked at, and with what sonar: the settings that every simulated image needs."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     title: str = ""
     world: str = Field(description="tank, grid, structures, a scenario, an SDF world, or a mesh")
-    route: tuple[Row, ...] = Field(
-        min_length=1, description="time_s, x, y, z (m), roll, pitch, yaw (degrees)"
-    )
-    timed: bool = Field(
-        True, description="ping at the device's rate along the route; false: once at each row"
-    )
     seed: int = Field(0, ge=0, lt=2**63)
     model: Literal["cerqueira", "physical"] = "cerqueira"
     renderer: RendererName = Field(RendererName.EMBREE, description="embree or opengl")
@@ -69,6 +63,17 @@ class Simulation(BaseModel):
     image: ImageSettings = ImageSettings()
     physical: PhysicalSettings = PhysicalSettings()
     water: WaterSettings = WaterSettings()
+
+
+class Simulation(Imaging):
+    """All that is needed to simulate the same images again."""
+
+    route: tuple[Row, ...] = Field(
+        min_length=1, description="time_s, x, y, z (m), roll, pitch, yaw (degrees)"
+    )
+    timed: bool = Field(
+        True, description="ping at the device's rate along the route; false: once at each row"
+    )
     camera: CameraSettings = CameraSettings()
 
     @property
@@ -96,14 +101,9 @@ def simulation_config(world: str, layers: Iterable[Table]) -> Simulation:
     Raises:
         ConfigError: A setting is unknown or out of range, or the route is missing.
     """
-    table: Table = dict(simulations().get(world, {"world": world}))
-    table["sonar"] = _device(table.get("sonar", {}))
-    for layer in layers:
-        inner = layer.get("sonar")
-        if isinstance(inner, dict) and "preset" in inner:
-            table["sonar"] = _device(inner)
-            layer = {key: value for key, value in layer.items() if key != "sonar"}
-        table = overlay(table, layer)
+    table = imaging_table(world, layers)
+    if world in simulations():
+        table.pop("poses", None)  # a dataset's
     if "route" not in table:
         raise ConfigError(
             'say where the sonar is: --pose "x y z roll pitch yaw", --path FILE or --orbit'
@@ -112,6 +112,19 @@ def simulation_config(world: str, layers: Iterable[Table]) -> Simulation:
         return Simulation.model_validate(table)
     except ValidationError as err:
         raise ConfigError(explain(err, Simulation)) from err
+
+
+def imaging_table(world: str, layers: Iterable[Table]) -> Table:
+    """The settings of a named simulation, or of a world, with layers on top, not yet checked."""
+    table: Table = dict(simulations().get(world, {"world": world}))
+    table["sonar"] = _device(table.get("sonar", {}))
+    for layer in layers:
+        inner = layer.get("sonar")
+        if isinstance(inner, dict) and "preset" in inner:
+            table["sonar"] = _device(inner)
+            layer = {key: value for key, value in layer.items() if key != "sonar"}
+        table = overlay(table, layer)
+    return table
 
 
 def _device(table: Table) -> Table:
@@ -233,7 +246,7 @@ def simulate(
             yield view
 
 
-def build_sonar(config: Simulation) -> Sonar:
+def build_sonar(config: Imaging) -> Sonar:
     """The sonar that the settings describe.
 
     Raises:

@@ -127,6 +127,11 @@ def test_existing_results_are_safe_without_force_and_merged_with_it(tmp_path: Pa
         (place.scratch / "a").write_text("newer")
         (place.scratch / "b").write_text("newer")
     assert (target / "a").read_text() == "new", "half of the results were replaced"
+    (target / "b" / "of before").write_text("old")
+    with result_folder(target, force=True) as place:
+        (place.scratch / "b").mkdir()
+        (place.scratch / "b" / "of now").write_text("new")
+    assert [path.name for path in (target / "b").iterdir()] == ["of now"]
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="not a folder"), result_folder(tmp_path / "file"):
         pass

@@ -23,6 +23,7 @@ from insonify.cli import recordings
 from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import tours
+from insonify.cli import datasets
 from insonify.cli import exports
 from insonify.cli import views
 from insonify.cli import listings
@@ -31,6 +32,7 @@ from insonify.cli import listings
 
 __all__ = [
     "app",
+    "datasets",
     "exports",
     "listings",
     "main",

@@ -79,8 +79,9 @@ def scan(
     """Scan an object, decide where to scan next until it no longer pays, and report."""
     from insonify.io.configs import config_to_toml
     from insonify.io.folders import result_folder, unused_folder
+    from insonify.io.recordings.remembering import RECORDING, remembered
     from insonify.io.recordings.scans import recording
-    from insonify.io.recordings.unfinished import OWNER, claim, find_unfinished, remembered
+    from insonify.io.unfinished import OWNER, claim, find_unfinished
     from insonify.runs import execute
 
     table = _mesh_table(object_)
@@ -93,7 +94,7 @@ def scan(
     pace = wall_clock() if real_time else lambda time_s: None
     name = f"{full.scenario}-{full.planner}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
-    before = find_unfinished(folder, config_to_toml(full))
+    before = find_unfinished(folder, config_to_toml(full), RECORDING)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
         claim(place.scratch, config_to_toml(full))
         known, past = remembered(before) if before is not None else (0, iter(()))
@@ -112,7 +113,7 @@ def scan(
         _write_results(run, place.scratch)
         (place.scratch / OWNER).unlink()
     if before is not None:
-        shutil.rmtree(before.folder, ignore_errors=True)
+        shutil.rmtree(before, ignore_errors=True)
     result = run.result()
     if as_json:
         print(json.dumps(result, indent=2))

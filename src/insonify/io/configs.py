@@ -6,6 +6,7 @@ import tomlkit
 from pydantic import BaseModel
 from tomlkit.items import AoT, Table
 
+from insonify.datasets import Dataset
 from insonify.scenarios import Config
 from insonify.simulation import Simulation
 from insonify.tours import Tour
@@ -24,6 +25,11 @@ def simulation_to_toml(config: Simulation) -> str:
 def tour_to_toml(config: Tour) -> str:
     """The settings of a tour, each with its meaning; ``--config`` takes them back."""
     return _commented(config, "A tour", "insonify fly --config THIS_FILE")
+
+
+def dataset_to_toml(config: Dataset) -> str:
+    """The settings of a dataset, each with its meaning; ``--config`` takes them back."""
+    return _commented(config, "A dataset", "insonify dataset --config THIS_FILE")
 
 
 def _commented(settings: BaseModel, what: str, command: str) -> str:

@@ -138,9 +138,11 @@ def _publish(scratch: Path, target: Path, force: bool) -> Path:
         return target
     if force and target.is_dir():
         for file in files:
-            if (target / file.name).is_dir():
+            if (target / file.name).is_dir() and not file.is_dir():
                 raise OSError(errno.EISDIR, f"{file.name} is a folder there")
         for file in files:
+            if (target / file.name).is_dir():
+                (target / file.name).rename(scratch / f"{file.name}.replaced")
             file.replace(target / file.name)
         return target
     scratch.chmod(0o777 & ~_umask())

@@ -6,7 +6,6 @@ import io
 import math
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -14,7 +13,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from insonify.sonar.camera import Picture
-from insonify.sonar.truth import Truth
+from insonify.sonar.truth import Truth, label_colours
 from insonify.types import Array, FanGeometry, Float32, Float64, Ping
 
 INK, WATER = "#1d2733", "#0b1420"
@@ -109,12 +108,6 @@ def picture_png(picture: Picture) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(picture).save(stream, format="png")
     return stream.getvalue()
-
-
-def label_colours(count: int) -> Float32:
-    """A colour (count, 3) for each label, told apart easily."""
-    table = np.asarray(colormaps["tab10"](np.arange(10)), np.float32)[:, :3]
-    return table[np.arange(count) % 10]
 
 
 def _to_fan(

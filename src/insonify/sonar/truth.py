@@ -14,6 +14,10 @@ from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.sonar.view import View, even_grid
 from insonify.types import Bool, FanGeometry, Float32, Int32, Pose
 
+_COLOURS = (
+    "1f77b4", "ff7f0e", "2ca02c", "d62728", "9467bd", "8c564b", "e377c2", "7f7f7f", "bcbd22",
+    "17becf",
+)  # fmt: skip
 _MOST_LAYERS = 64
 """A ray is followed through so many surfaces."""
 
@@ -79,6 +83,12 @@ def find_truth(sets: list[Samples], scene: Scene, geometry: FanGeometry, pose: P
     seen = gather(sets, geometry).coverage > 0.0
     shadow = (_hidden(scene, geometry, pose) > 0.0) & ~seen
     return Truth(scene.labels, label, elevation_rad, range_m, point_m, first, shadow)
+
+
+def label_colours(count: int) -> Float32:
+    """A colour (count, 3) in [0, 1] for each label, told apart easily; ten in turn."""
+    table = np.array([list(bytes.fromhex(code)) for code in _COLOURS], np.float32) / 255.0
+    return table[np.arange(count) % len(table)]
 
 
 def _hidden(scene: Scene, geometry: FanGeometry, pose: Pose) -> Float32:

@@ -9,7 +9,8 @@ from insonify.errors import ConfigError, MapFileError, RecordingError
 from insonify.io.maps import LOADED, load_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, RecordedPing, Recording
-from insonify.io.recordings.unfinished import CONFIG, RECORDING, Unfinished, remembered
+from insonify.io.recordings.remembering import RECORDING, remembered
+from insonify.io.unfinished import CONFIG
 from insonify.mapping.bayes import MappingSettings
 from insonify.mission import Mapped, Step
 from insonify.replay import Replay, around_occupied, map_recordings
@@ -61,7 +62,7 @@ def run_story(
     if "scenario" not in layers:
         raise ConfigError(f"{folder / CONFIG}: does not name its scenario")
     config = scenario_config(str(layers["scenario"]), [layers, {"renderer": "embree"}])
-    count, pings = remembered(Unfinished(folder))
+    count, pings = remembered(folder)
     if not count:
         raise RecordingError(f"{folder / RECORDING}: there are no pings in it")
     story = Story(f"{config.scenario}, {config.planner} planner, seed {config.seed}")

@@ -1,0 +1,175 @@
+"""Datasets for those who train networks."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from insonify.cli.root import (
+    EXIT_INTERRUPTED,
+    ConfigOption,
+    ForceOption,
+    JsonOption,
+    OutOption,
+    RendererOption,
+    SetOption,
+    absolute_world,
+    app,
+    choices,
+    file_layers,
+    interruptible,
+    print_listing,
+    single_layers,
+    stderr,
+)
+from insonify.errors import ConfigError
+
+if TYPE_CHECKING:
+    from insonify.datasets import Dataset
+
+
+@app.command()
+def dataset(
+    world: Annotated[
+        str | None, typer.Argument(help="A world as `simulate` takes it: file, scenario, name.")
+    ] = None,
+    count: Annotated[int | None, typer.Option(min=1, help="How many views.")] = None,
+    sonar: Annotated[str | None, typer.Option(help="A device; see: sonars")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="cerqueira or physical.", show_default=False)
+    ] = None,
+    renderer: RendererOption = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the poses and the noise.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; by default one for each core.")
+    ] = None,
+    search: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="Look for models here; may be repeated."),
+    ] = None,
+    materials: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="TOML table of materials by name.")
+    ] = None,
+    settings: SetOption = None,
+    config: ConfigOption = None,
+    out: OutOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
+    from insonify.io.configs import dataset_to_toml
+    from insonify.io.datasets import ANNOTATIONS, DONE, all_cores, write_dataset
+    from insonify.io.folders import result_folder, unused_folder
+    from insonify.io.unfinished import OWNER, claim, find_unfinished
+    from insonify.scene.materials import read_materials
+
+    device = {"preset": sonar} if sonar else None
+    chosen = choices(sonar=device, model=model, renderer=renderer, seed=seed, count=count)
+    full = _configure(world, config, settings, chosen)
+    table = read_materials(materials) if materials else None
+    folder = out or unused_folder(Path("insonify-runs") / f"{Path(full.world).stem}-dataset")
+    before = find_unfinished(folder, dataset_to_toml(full), DONE)
+    with (
+        result_folder(folder, force=force) as place,
+        interruptible("stopping after the views that are being made") as interrupted,
+    ):
+        if before is not None:
+            before.replace(place.scratch)
+        claim(place.scratch, dataset_to_toml(full))
+        with _progress(full) as watch:
+            whole = write_dataset(
+                full,
+                place.scratch,
+                workers=workers or all_cores(),
+                search=tuple(search or ()),
+                materials=table,
+                watch=watch,
+                should_stop=interrupted,
+            )
+        if not whole:
+            kept = place.scratch.with_name(f"{place.scratch.name}-kept")
+            place.scratch.replace(kept)
+            done = sum(1 for _ in (kept / DONE).iterdir())
+            print(
+                f"insonify: interrupted after {done} of {full.count} views; the same command goes "
+                "on from there",
+                file=sys.stderr,
+            )
+            raise typer.Exit(EXIT_INTERRUPTED)
+        (place.scratch / OWNER).unlink()
+        document = json.loads((place.scratch / ANNOTATIONS).read_text(encoding="utf-8"))
+    result = _result(full, document)
+    if as_json:
+        print(json.dumps(result, indent=2))
+    else:
+        _print_result(result)
+    print(f"Dataset: {place.target}", file=sys.stderr)
+
+
+def _configure(
+    world: str | None, config: Path | None, settings: list[str] | None, chosen: dict[str, Any]
+) -> Dataset:
+    from insonify.datasets import dataset_config
+
+    from_file = file_layers(config)
+    if world is None:
+        if not from_file or "world" not in from_file[0]:
+            raise ConfigError(
+                "name a world (a file, or tank, grid, structures), or give a --config"
+            )
+        world = str(from_file[0]["world"])
+    layers = [*from_file, chosen, *single_layers(settings)]
+    return dataset_config(absolute_world(world) or world, layers)
+
+
+def _result(config: Dataset, document: dict[str, Any]) -> dict[str, Any]:
+    """A summary: how often each category is seen, and how many pixels of it."""
+    names = {entry["id"]: entry["name"] for entry in document["categories"]}
+    seen = {name: {"views": 0, "pixels": 0} for name in names.values()}
+    for annotation in document["annotations"]:
+        entry = seen[names[annotation["category_id"]]]
+        entry["views"] += 1
+        entry["pixels"] += annotation["area"]
+    return {
+        "world": config.world,
+        "sonar": config.sonar.name,
+        "seed": config.seed,
+        "views": config.count,
+        "categories": seen,
+    }
+
+
+@contextmanager
+def _progress(config: Dataset) -> Iterator[Callable[[int], None]]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    console = stderr()
+    with Progress(
+        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=True,
+        disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("views", total=config.count)
+        yield lambda done: bar.update(task, completed=done)
+
+
+def _print_result(result: dict[str, Any]) -> None:
+    rows = [
+        [name, str(entry["views"]), f"{entry['pixels']:,}"]
+        for name, entry in result["categories"].items()
+    ]
+    print(f"{result['world']}: {result['views']} views with {result['sonar']}")
+    print_listing(["category", "views", "pixels"], rows)

@@ -1,0 +1,156 @@
+"""Datasets on the disk: a Zarr store, pictures with masks, and COCO annotations."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+
+import numba
+
+from insonify.datasets import Dataset, Views
+from insonify.io.datasets import coco, store
+from insonify.io.folders import write_file
+from insonify.scene.materials import Material
+from insonify.simulation import build_scene
+
+DONE = "done"
+"""Folder of one file for each view that is whole; gone when the dataset is."""
+IMAGES, MASKS, STORE, ANNOTATIONS = "images", "masks", "dataset.zarr", "annotations.json"
+
+_views: Views | None = None
+"""What a worker process makes views of."""
+
+
+def write_dataset(
+    config: Dataset,
+    folder: Path,
+    *,
+    workers: int = 1,
+    search: tuple[Path, ...] = (),
+    materials: dict[str, Material] | None = None,
+    watch: Callable[[int], None] = lambda done: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Write a dataset into a folder, or go on with what an earlier call left there.
+
+    The files depend on the settings alone, not on the number of workers or on interruptions.
+
+    Args:
+        config: What to make.
+        folder: Where; it exists, and holds nothing else.
+        workers: Processes; more than one want the caller guarded by ``__name__ == "__main__"``.
+        search: Folders in which an SDF world's models are looked for.
+        materials: Materials by name.
+        watch: Called with the number of views that are whole, after each.
+        should_stop: Asked after each view; if true the folder is left for another call.
+
+    Returns:
+        Whether it is whole.
+
+    Raises:
+        ConfigError: No pose was found for a view, or there is no such world.
+        MissingExtraError: The package zarr is not installed.
+    """
+    scene = build_scene(config.world, search, materials)
+    views = Views(config, scene)
+    views.pose(0)  # found out before any work, if none can be had
+    for name in (DONE, IMAGES, MASKS):
+        (folder / name).mkdir(exist_ok=True)
+    if not (folder / STORE / "zarr.json").is_file() or not any((folder / DONE).iterdir()):
+        shutil.rmtree(folder / STORE, ignore_errors=True)
+        store.create(folder / STORE, views)
+    store.tidy(folder / STORE)
+    missing = [k for k in range(config.count) if not _marker(folder, k).is_file()]
+    done = config.count - len(missing)
+    watch(done)
+    for _ in _made(views, folder, missing, workers, search, materials, should_stop):
+        done += 1
+        watch(done)
+    if done < config.count:
+        return False
+    rows = [json.loads(_marker(folder, k).read_text("utf-8")) for k in range(config.count)]
+    store.finish(folder / STORE, views, rows)
+    document = json.dumps(coco.document(views, rows)) + "\n"
+    write_file(folder / ANNOTATIONS, document.encode())
+    shutil.rmtree(folder / DONE)
+    return True
+
+
+def _made(
+    views: Views,
+    folder: Path,
+    missing: list[int],
+    workers: int,
+    search: tuple[Path, ...],
+    materials: dict[str, Material] | None,
+    should_stop: Callable[[], bool],
+) -> Iterator[int]:
+    """Make the missing views; yields each as soon as it is whole."""
+    if workers == 1 or len(missing) < 2:
+        for number in missing:
+            _write_view(views, folder, number)
+            yield number
+            if should_stop():
+                return
+        return
+    ahead = iter(missing)
+    with ProcessPoolExecutor(
+        workers,
+        get_context("spawn"),
+        initializer=_begin,
+        initargs=(views.config, search, materials),
+    ) as pool:
+        running: set[Future[int]] = set()
+        while True:
+            if not should_stop():
+                fresh = islice(ahead, 2 * workers - len(running))
+                running |= {pool.submit(_work, folder, number) for number in fresh}
+            if not running:
+                return
+            finished, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+
+
+def _begin(
+    config: Dataset, search: tuple[Path, ...], materials: dict[str, Material] | None
+) -> None:
+    """Prepare a worker process: its world, one thread, and no ears for Ctrl-C."""
+    global _views
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")  # the first process has told them
+    numba.set_num_threads(1)
+    _views = Views(config, build_scene(config.world, search, materials))
+
+
+def _work(folder: Path, number: int) -> int:
+    assert _views is not None
+    _write_view(_views, folder, number)
+    return number
+
+
+def _write_view(views: Views, folder: Path, number: int) -> None:
+    """Write all files of a view, and last the one that says that it is whole."""
+    view = views.view(number)
+    assert view.truth is not None
+    store.write(folder / STORE, view)
+    write_file(folder / IMAGES / coco.file_name(number), coco.image_png(view.ping))
+    write_file(folder / MASKS / coco.file_name(number), coco.mask_png(view.truth))
+    write_file(_marker(folder, number), json.dumps(coco.row(view)).encode())
+
+
+def _marker(folder: Path, number: int) -> Path:
+    return folder / DONE / f"{number:06d}.json"
+
+
+def all_cores() -> int:
+    """How many processes this machine runs side by side."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

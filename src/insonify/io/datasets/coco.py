@@ -1,0 +1,127 @@
+"""Annotations in COCO's format, and the pictures that they are of.
+
+Pictures are polar as the arrays are: a row is a range bin, the nearest on top, a column is a beam,
+port on the left.  Masks are COCO's run-length encoding: runs of 0 and 1 by turns, down the columns.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import math
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from insonify.datasets import Views
+from insonify.simulation import View
+from insonify.sonar.truth import Truth, label_colours
+from insonify.types import Array, Bool, Ping
+
+SHADOW = "shadow"
+
+
+def file_name(number: int) -> str:
+    """Of a view's picture and of its mask."""
+    return f"{number:06d}.png"
+
+
+def image_png(ping: Ping) -> bytes:
+    """A sonar image, (bins, beams) grey."""
+    grey = np.round(np.clip(ping.image, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return _png(Image.fromarray(grey))
+
+
+def mask_png(truth: Truth) -> bytes:
+    """What each pixel shows: 0 nothing, k + 1 label k, and last shadow; with a palette."""
+    numbers = category_pixels(truth)
+    picture = Image.fromarray(numbers)
+    colours = np.zeros((256, 3), np.uint8)
+    count = len(truth.labels)
+    colours[1 : count + 1] = np.round(255 * label_colours(count))
+    colours[count + 1] = (70, 70, 90)
+    picture.putpalette(colours.tobytes())
+    return _png(picture)
+
+
+def category_pixels(truth: Truth) -> Array:
+    """The category of each pixel, (bins, beams) uint8: 0 for none."""
+    numbers = (truth.label + 1).astype(np.uint8)
+    numbers[truth.shadow] = len(truth.labels) + 1
+    return numbers
+
+
+def row(view: View) -> dict[str, Any]:
+    """What is said of a view: its pose, and each category's mask in it."""
+    assert view.truth is not None
+    numbers = category_pixels(view.truth)
+    bins, beams = numbers.shape
+    return {
+        "pose": dataclasses.astuple(view.pose),
+        "size": [bins, beams],
+        "masks": [
+            {"category_id": int(k)} | _annotation(numbers == k) for k in np.unique(numbers) if k
+        ],
+    }  # fmt: skip
+
+
+def document(views: Views, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The annotations of all views."""
+    config = views.config
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for number, said in enumerate(rows):
+        bins, beams = said["size"]
+        images.append(
+            {
+                "id": number,
+                "file_name": f"images/{file_name(number)}",
+                "width": beams,
+                "height": bins,
+                "pose_m_deg": [*said["pose"][:3], *map(math.degrees, said["pose"][3:])],
+            }
+        )
+        for mask in said["masks"]:
+            annotations.append(
+                {"id": len(annotations) + 1, "image_id": number, "iscrowd": 0} | mask
+            )
+    names = [*views.scene.labels, SHADOW]
+    return {
+        "info": {
+            "description": f"{config.world}, {config.sonar.name}, {config.model}, "
+            f"seed {config.seed}; polar images: rows are range bins, nearest on top, columns are "
+            "beams, port on the left",
+            "version": "1",
+        },
+        "licenses": [],
+        "categories": [
+            {"id": k, "name": name, "supercategory": "sonar"} for k, name in enumerate(names, 1)
+        ],
+        "images": images,
+        "annotations": annotations,
+    }
+
+
+def _annotation(mask: Bool) -> dict[str, Any]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    left, top = int(columns[0]), int(rows[0])
+    return {
+        "bbox": [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1],
+        "area": int(mask.sum()),
+        "segmentation": {"size": list(mask.shape), "counts": run_lengths(mask)},
+    }
+
+
+def run_lengths(mask: Bool) -> list[int]:
+    """Lengths of runs of 0 and 1 by turns down the columns, the first of 0, perhaps of none."""
+    flat = np.concatenate([[False], mask.ravel(order="F"), [False]])
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    counts = np.diff(np.concatenate([[0], edges, [mask.size]]))
+    return [int(count) for count in (counts[:-1] if counts[-1] == 0 else counts)]
+
+
+def _png(picture: Image.Image) -> bytes:
+    stream = io.BytesIO()
+    picture.save(stream, format="png")
+    return stream.getvalue()
