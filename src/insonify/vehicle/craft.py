@@ -39,11 +39,38 @@ class Moment:
     covariance: Float64 | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuReading:
+    """What the IMU measured in one period of the control: the times (N,) and readings (N, 6).
+
+    A reading is specific force (m/s2) and turn rate (rad/s), body frame.
+    """
+
+    times_s: Float64
+    values: Float64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DvlReading:
+    """What the Doppler log measured: velocities along its beams (4,) m/s, ranges (4,) m."""
+
+    time_s: float
+    velocities_m_s: Float64
+    ranges_m: Float64
+
+
 @dataclass(slots=True, eq=False)
 class Track:
-    """What a vehicle leaves behind: moments four times a second, and the length it flew."""
+    """What a vehicle leaves behind.
+
+    Attributes:
+        moments: Four a second.
+        readings: What its IMU and Doppler log measured; none under perfect navigation.
+        length_m: How far it flew.
+    """
 
     moments: list[Moment] = field(default_factory=list)
+    readings: list[ImuReading | DvlReading] = field(default_factory=list)
     length_m: float = 0.0
 
 
@@ -129,6 +156,14 @@ class Craft:
         """Where it believes it is."""
         return self.true_pose if self.estimator is None else self.estimator.pose
 
+    @property
+    def covariance(self) -> Float64 | None:
+        """Of the believed pose, (6, 6) as in `Moment`; None under perfect navigation."""
+        if self.estimator is None:
+            return None
+        pose_states = [0, 1, 2, 6, 7, 8]
+        return self.estimator.covariance[np.ix_(pose_states, pose_states)]
+
     def belief(self) -> Belief:
         """What it believes of its motion."""
         if self.estimator is not None:
@@ -164,6 +199,9 @@ class Craft:
         readings = self._imu.sample(trace[:, 13:19])
         if self.failed("imu"):
             readings[:] = np.nan
+        count = len(readings)
+        times_s = self.time_s - CONTROL_S * np.arange(count - 1, -1, -1) / count
+        self.track.readings.append(ImuReading(times_s, readings))
         if not estimator.propagate(readings):
             self.lost = StopReason.IMU_FAILED
             return
@@ -180,23 +218,22 @@ class Craft:
         state = self._state
         turn = rotation_from_attitude(state[3:7])
         readings = self._dvl.sample(state[:3], turn, state[7:10], state[10:13], self._sound)
+        ranges_m = self._dvl.ranges_m
         if self.failed("dvl"):
             readings[:] = np.nan
+            ranges_m = np.full(4, np.nan)
+        self.track.readings.append(DvlReading(self.time_s, readings, ranges_m))
         return readings
 
     def _log(self) -> None:
         goal = self.follower.set_point
         x, y, z = (float(c) for c in goal.position_m)
-        covariance = None
-        if self.estimator is not None:
-            pose_states = [0, 1, 2, 6, 7, 8]
-            covariance = self.estimator.covariance[np.ix_(pose_states, pose_states)]
         self.track.moments.append(
             Moment(
                 self.time_s,
                 self.true_pose,
                 self.believed_pose,
                 Pose(x, y, z, yaw_rad=goal.yaw_rad),
-                covariance,
+                self.covariance,
             )
         )

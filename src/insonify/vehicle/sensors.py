@@ -118,7 +118,13 @@ class Imu:
 
 
 class Dvl:
-    """Velocities along four beams, where they find a bottom."""
+    """Velocities along four beams, where they find a bottom.
+
+    Attributes:
+        scale: The share by which it reads too much.
+        beams: Unit vectors (4, 3) along the beams, body frame.
+        ranges_m: (4,) of the last sample, not a number without an echo.
+    """
 
     def __init__(self, settings: DvlSettings, rng: np.random.Generator) -> None:
         """Draw the scale error."""
@@ -126,6 +132,7 @@ class Dvl:
         self._rng = rng
         self.scale = settings.scale * float(rng.standard_normal())
         self.beams = beam_directions(settings)
+        self.ranges_m = np.full(4, np.nan)
         self._square = math.cos(math.radians(settings.steepest_deg))
 
     def sample(
@@ -148,6 +155,7 @@ class Dvl:
         near, far = self._settings.range_min_m, self._settings.range_max_m
         lost = (range_m < near) | (range_m > far) | (square < self._square)
         readings[lost] = np.nan
+        self.ranges_m = np.where(lost, np.nan, range_m)
         return readings
 
 

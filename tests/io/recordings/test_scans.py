@@ -181,3 +181,85 @@ def test_same_scan_same_bytes(scan: tuple[Run, Path], tmp_path: Path) -> None:
     assert Counter(p.name for p in tmp_path.iterdir()) == Counter(
         ["recording.mcap", "foxglove.json"]
     )
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, dict[str, list[Any]]]:
+    """A flown scan, and its messages as plain rosbags reads them."""
+    folder = tmp_path_factory.mktemp("flight")
+    layers: list[dict[str, Any]] = [
+        {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 6, "baseline_scans": 1}},
+        {"planner": "uniform", "vehicle": {"name": "bluerov2", "navigation": "dvl"}},
+    ]
+    with recording(folder) as record:
+        run = execute(scenario_config("tetrapod", layers), watch=record)
+    found: dict[str, list[Any]] = {}
+    with AnyReader([folder / "recording.mcap"]) as reader:
+        for connection, time_ns, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            if hasattr(message, "header"):
+                stamp = message.header.stamp
+                assert stamp.sec * 10**9 + stamp.nanosec == time_ns
+            found.setdefault(connection.topic, []).append((time_ns * 1e-9, message))
+    return run, found
+
+
+def test_a_flown_scan_tells_what_the_imu_felt(flight: tuple[Run, dict[str, list[Any]]]) -> None:
+    run, found = flight
+    times = np.array([time_s for time_s, _ in found["/imu"]])
+    np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-6)
+    assert run.flight is not None
+    assert times[-1] == pytest.approx(run.flight.track.moments[-1].time_s, abs=0.3)
+    force = np.array([m.linear_acceleration.z for _, m in found["/imu"]])
+    assert force.mean() == pytest.approx(9.81, abs=0.1)  # it hangs level and rests at both ends
+    spread = run.config.vehicle.sensors.imu.accel_noise * np.sqrt(100.0)
+    assert found["/imu"][0][1].linear_acceleration_covariance[0] == pytest.approx(spread**2)
+    assert found["/imu"][0][1].orientation_covariance[0] == -1.0
+
+
+def test_a_flown_scan_tells_how_fast_it_was(flight: tuple[Run, dict[str, list[Any]]]) -> None:
+    """Doppler log and both odometries against the true positions, a ping apart."""
+    _, found = flight
+    truth = [(t, m) for t, m in found["/ground_truth/odometry"]]
+    assert len(truth) == len(found["/odometry"]) == len(found["/sonar/image"]) > 4
+    times = np.array([t for t, _ in truth])
+    places = np.array([_xyz(m.pose.pose.position) for _, m in truth])
+    speeds = np.linalg.norm(np.gradient(places, times, axis=0), axis=1)[1:-1]
+    for topic in ("/ground_truth/odometry", "/odometry"):
+        told = [np.linalg.norm(_xyz(m.twist.twist.linear)) for _, m in found[topic]][1:-1]
+        np.testing.assert_allclose(told, speeds, atol=0.03)
+        assert max(told) > 0.1
+    logs = [(t, m) for t, m in found["/dvl"] if times[1] <= t <= times[-2]]
+    for time_s, log in logs:
+        assert log.num_good_beams >= 3 and log.velocity_mode == 1
+        speed = np.interp(time_s, times[1:-1], speeds)
+        assert np.linalg.norm(_xyz(log.velocity)) == pytest.approx(speed, abs=0.06)
+        # four rays of 22.5 degrees to a bottom some metres below
+        nearest = np.nanmin(log.range) * np.cos(np.radians(22.5))
+        assert log.altitude == pytest.approx(nearest, rel=1e-6)
+        assert 1.0 < log.altitude < 8.0
+    assert len(logs) > 10
+
+
+def test_a_flown_scan_tells_how_sure_it_is(flight: tuple[Run, dict[str, list[Any]]]) -> None:
+    _, found = flight
+    off = []
+    for (_, told), (_, true) in zip(
+        found["/odometry"], found["/ground_truth/odometry"], strict=True
+    ):
+        spread = np.array(told.pose.covariance).reshape(6, 6)
+        np.testing.assert_allclose(spread, spread.T, atol=1e-12)
+        assert np.linalg.eigvalsh(spread).min() > 0.0
+        error = _xyz(told.pose.pose.position) - _xyz(true.pose.pose.position)
+        off.append(float(error @ np.linalg.solve(spread[:3, :3], error)))
+    assert 0.01 < np.mean(off) < 12.0  # 3 in the mean over many flights
+    frames = {
+        (link.header.frame_id, link.child_frame_id)
+        for _, message in found["/tf_static"]
+        for link in message.transforms
+    }
+    assert frames == {("map", "odom"), ("base_link", "sonar"), ("base_link", "dvl")}
+
+
+def _xyz(point: Any) -> Any:
+    return np.array([point.x, point.y, point.z])

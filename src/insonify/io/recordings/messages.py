@@ -17,6 +17,8 @@ from rosbags.typesys.store import Typestore
 
 from insonify.frames import quaternion_from_rotation, transform_from_pose
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose
+from insonify.vehicle.craft import DvlReading
+from insonify.vehicle.sensors import DvlSettings, ImuSettings, beam_directions
 
 IMAGE_FROM_SONAR = np.array(
     [[0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -250,15 +252,88 @@ def _pose(pose: Pose) -> Any:
     )
 
 
-def odometry(pose: Pose, time_ns: int, frame: str) -> Any:
-    """A nav_msgs/Odometry of base_link; velocities are not known to it and zero."""
-    still = new("geometry_msgs/Twist", linear=vector(0, 0, 0), angular=vector(0, 0, 0))
+def odometry(
+    pose: Pose,
+    time_ns: int,
+    frame: str,
+    velocity: Float64 | None = None,
+    covariance: Float64 | None = None,
+) -> Any:
+    """A nav_msgs/Odometry of base_link.
+
+    Args:
+        pose: Where it is.
+        time_ns: When.
+        frame: Where to.
+        velocity: (6,) m/s and rad/s, of base_link in its own frame; zero if it is not known.
+        covariance: (6, 6) of position and attitude; zero if it is not known.
+    """
+    v = np.zeros(6) if velocity is None else velocity
+    spread = np.zeros((6, 6)) if covariance is None else covariance
+    twist = new("geometry_msgs/Twist", linear=vector(*v[:3]), angular=vector(*v[3:]))
+    flat = np.ascontiguousarray(spread, np.float64).reshape(-1)
     return new(
         "nav_msgs/Odometry",
         header=header(time_ns, frame),
         child_frame_id="base_link",
-        pose=new("geometry_msgs/PoseWithCovariance", pose=_pose(pose), covariance=np.zeros(36)),
-        twist=new("geometry_msgs/TwistWithCovariance", twist=still, covariance=np.zeros(36)),
+        pose=new("geometry_msgs/PoseWithCovariance", pose=_pose(pose), covariance=flat),
+        twist=new("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def imu(reading: Float64, time_ns: int, frame: str, settings: ImuSettings) -> Any:
+    """A sensor_msgs/Imu of specific force and turn rate (6,); it knows no orientation."""
+    force, rate = settings.accel_noise**2, settings.gyro_noise**2
+    unknown = np.zeros(9)
+    unknown[0] = -1.0
+    return new(
+        "sensor_msgs/Imu",
+        header=header(time_ns, frame),
+        orientation=new("geometry_msgs/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=unknown,
+        angular_velocity=vector(*reading[3:]),
+        angular_velocity_covariance=(rate * settings.rate_hz * np.eye(3)).reshape(-1),
+        linear_acceleration=vector(*reading[:3]),
+        linear_acceleration_covariance=(force * settings.rate_hz * np.eye(3)).reshape(-1),
+    )
+
+
+def dvl(
+    reading: DvlReading, time_ns: int, frame: str, settings: DvlSettings, speed_mps: float
+) -> Any:
+    """A marine_acoustic_msgs/Dvl; velocities along beams are positive towards the bottom.
+
+    The velocity is the least squares of the beams that have an echo, not a number with fewer than
+    three; the altitude is that of the nearest beam.
+    """
+    beams = beam_directions(settings)
+    along, ranges = reading.velocities_m_s, reading.ranges_m
+    good = np.isfinite(along)
+    velocity, spread = np.full(3, np.nan), np.full((3, 3), np.nan)
+    if good.sum() >= 3:
+        velocity = np.linalg.lstsq(beams[good], along[good], rcond=None)[0]
+        spread = settings.noise_m_s**2 * np.linalg.inv(beams[good].T @ beams[good])
+    heights = -ranges * beams[:, 2]
+    return new(
+        "marine_acoustic_msgs/Dvl",
+        header=header(time_ns, frame),
+        velocity_mode=1,
+        dvl_type=0,
+        velocity=vector(*velocity),
+        velocity_covar=spread.reshape(-1),
+        altitude=float(heights[good].min()) if good.any() else float("nan"),
+        course_gnd=float(np.arctan2(velocity[1], velocity[0])),
+        speed_gnd=float(np.hypot(velocity[0], velocity[1])),
+        num_good_beams=int(good.sum()),
+        sound_speed=speed_mps,
+        beam_ranges_valid=bool(good.any()),
+        beam_velocities_valid=bool(good.any()),
+        beam_unit_vec=[vector(*beam) for beam in beams],
+        range=ranges.astype(np.float64),
+        range_covar=np.zeros(4, np.float32),
+        beam_quality=good.astype(np.float32),
+        beam_velocity=along.astype(np.float32),
+        beam_velocity_covar=np.full(4, settings.noise_m_s**2, np.float32),
     )
 
 

@@ -18,12 +18,14 @@ from insonify.io.recordings import messages
 from insonify.io.recordings.mcap_writing import McapWriter
 from insonify.mapping.voxels import probability_from_log_odds
 from insonify.mission import Decided, Pinged, Scanned, Step
-from insonify.runs import Run
+from insonify.runs import Flight, Run
 from insonify.types import Ping, Pose
+from insonify.vehicle.craft import Craft, ImuReading
 
 IMAGES, STATES, PICTURES = "/sonar/image", "/sonar/state", "/sonar/polar"
 ESTIMATE, TRUTH = "/odometry", "/ground_truth/odometry"
 PLANS, OCCUPIED = "/plan", "/map/occupied"
+IMU, DVL = "/imu", "/dvl"
 SOUND_SPEED_MPS = 1500.0
 """Told in each ping; the simulator's ranges are exact at any speed."""
 _STEP_NS = 100_000_000
@@ -46,9 +48,12 @@ class ScanRecorder:
         self._writer = writer
         self._now_ns = 0
         self._mount: Pose | None = None
+        self._readings = 0
 
     def watch(self, run: Run, step: Step) -> None:
         """Record a step."""
+        if run.flight is not None:
+            self._record_readings(run.flight)
         if isinstance(step, Decided) and step.decision.path is not None:
             waypoints = step.decision.path.waypoints
             self._write(PLANS, messages.path(waypoints, self._now_ns, "map"))
@@ -66,18 +71,43 @@ class ScanRecorder:
             self._mount = mount
             sonar = transform_from_pose(mount) @ messages.IMAGE_FROM_SONAR
             links = [("map", "odom", np.eye(4)), ("base_link", "sonar", sonar)]
+            if run.flight is not None:
+                log = run.flight.voyage.settings.sensors.dvl
+                links.append(("base_link", "dvl", transform_from_pose(Pose(*log.position_m))))
             self._write("/tf_static", messages.transforms(links, now))
         link = ("odom", "base_link", transform_from_pose(pose))
         self._write("/tf", messages.transforms([link], now))
-        self._write(ESTIMATE, messages.odometry(pose, now, "odom"))
         truth = run.true_pose(pose)
-        self._write(TRUTH, messages.odometry(truth, now, "map"))
+        craft = None if run.flight is None else run.flight.voyage.craft
+        if craft is None:
+            self._write(ESTIMATE, messages.odometry(pose, now, "odom"))
+            self._write(TRUTH, messages.odometry(truth, now, "map"))
+        else:
+            self._write(ESTIMATE, _believed(craft, pose, now))
+            moving = craft.true_state[7:13]
+            self._write(TRUTH, messages.odometry(truth, now, "map", moving))
         frequency_hz = 1e3 * run.config.sonar.frequency_khz
         image = messages.sonar_image(ping, now, "sonar", frequency_hz, SOUND_SPEED_MPS)
         words = messages.words_from_generator(run.noise)
         self._write(STATES, messages.ping_state(ping, pose, truth, words, now, "sonar"))
         self._write(IMAGES, image)
         self._write(PICTURES, messages.polar_picture(ping, now, "sonar"))
+
+    def _record_readings(self, flight: Flight) -> None:
+        """Record what the sensors have measured since the last step, at its own times."""
+        sensors = flight.voyage.settings.sensors
+        fresh = flight.track.readings[self._readings :]
+        self._readings += len(fresh)
+        for reading in fresh:
+            if isinstance(reading, ImuReading):
+                for time_s, values in zip(reading.times_s.tolist(), reading.values, strict=True):
+                    now = round(time_s * 1e9)
+                    message = messages.imu(values, now, "base_link", sensors.imu)
+                    self._writer.write(IMU, message, now)
+            else:
+                now = round(reading.time_s * 1e9)
+                message = messages.dvl(reading, now, "dvl", sensors.dvl, SOUND_SPEED_MPS)
+                self._writer.write(DVL, message, now)
 
     def _record_map(self, run: Run) -> None:
         voxels = run.mapper.voxels
@@ -88,3 +118,15 @@ class ScanRecorder:
 
     def _write(self, topic: str, message: object) -> None:
         self._writer.write(topic, message, self._now_ns)
+
+
+def _believed(craft: Craft, pose: Pose, time_ns: int) -> object:
+    """The odometry of what a vehicle believes of itself."""
+    belief = craft.belief()
+    turn = belief.turn
+    velocity = np.concatenate([turn.T @ belief.velocity_m_s, belief.rate_rad_s])
+    covariance = craft.covariance
+    if covariance is not None:  # its angles are the body's, the message's the world's
+        turned = np.kron(np.diag([0.0, 1.0]), turn) + np.kron(np.diag([1.0, 0.0]), np.eye(3))
+        covariance = turned @ covariance @ turned.T
+    return messages.odometry(pose, time_ns, "odom", velocity, covariance)
