@@ -1,12 +1,13 @@
 # Two commands on a fresh machine with Python 3.11+ and make:
 #   make demo   sets up, scans the tetrapod, says where the report is
 #   make test   sets up, runs every check
+# and make docs, which builds the docs site into build/docs
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test lint types check bench clean
+.PHONY: setup demo test lint types check docs bench clean
 
 setup: $(READY)
 
@@ -30,6 +31,10 @@ types: setup
 
 check: setup
 	$(BIN)/pytest
+
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@echo "Docs: build/docs/index.html"
 
 bench: setup
 	$(BIN)/python -m benchmarks
