@@ -124,3 +124,25 @@ def test_the_sunken_ship_and_the_missing_mesh(tmp_path: Path) -> None:
     missing = str(DATA / "worlds/herkules_ship_wreck.world")
     done = _run("simulate", missing, *pose, cwd=tmp_path)
     assert done.returncode == 2 and "herkules.dae" in done.stderr
+
+
+def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:
+    """A wall 4 m ahead, seen on the way past: occupied voxels lie on it, none before it."""
+    wall = trimesh.creation.box((0.2, 8.0, 6.0))
+    wall.apply_translation((4.1, 0.0, 0.0))
+    wall.export(tmp_path / "wall.stl")
+    rows = "".join(f"{k / 10},{0.0},{-1.0 + 0.2 * k},0,0,0,0\n" for k in range(11))
+    (tmp_path / "way.csv").write_text("time_s,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg\n" + rows)
+    words = ["simulate", "wall.stl", "--path", "way.csv", "--out", "s", *FAST]
+    words += ["--set", "sonar.range_max_m=8", "--set", "timed=false"]
+    done = _run(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = _run("info", "s", "--json", cwd=tmp_path)
+    assert json.loads(told.stdout)["poses"] == 11, told.stderr
+    done = _run("map", "s", "--voxel", "0.1", "--out", "m", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    from insonify import load_map
+
+    x = load_map(tmp_path / "m").occupied_m()[:, 0]
+    assert len(x) > 100
+    assert x.min() > 3.5 and x.max() < 4.3

@@ -20,12 +20,12 @@ from insonify.errors import InsonifyError
 # --help lists the commands in this order
 from insonify.cli import scans
 from insonify.cli import recordings
+from insonify.cli import views
 from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import tours
 from insonify.cli import datasets
 from insonify.cli import exports
-from insonify.cli import views
 from insonify.cli import listings
 
 # isort: on

@@ -40,7 +40,6 @@ from insonify.cli.vehicles import (
     vehicle_table,
     wall_clock,
 )
-from insonify.cli.views import live_page, serve
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -77,6 +76,7 @@ def scan(
     as_json: JsonOption = False,
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
+    from insonify.cli.views import live_page, serve
     from insonify.io.configs import config_to_toml
     from insonify.io.folders import result_folder, unused_folder
     from insonify.io.recordings.remembering import RECORDING, remembered

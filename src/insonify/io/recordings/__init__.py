@@ -14,6 +14,7 @@ from insonify.io.recordings.images import read_images
 from insonify.io.recordings.oculus import START as OCULUS_START
 from insonify.io.recordings.oculus import read_oculus
 from insonify.io.recordings.recording import Reading, Recording, with_poses
+from insonify.io.recordings.simulated import read_simulated
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
@@ -30,6 +31,9 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
     """
     try:
         if path.is_dir():
+            simulated = read_simulated(path)
+            if simulated is not None:
+                return with_poses(simulated, reading)
             bag = open_bag(path, b"")
             return read_images(path, reading) if bag is None else _bag(bag, reading)
         if path.exists() and not path.is_file():

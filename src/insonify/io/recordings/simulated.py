@@ -1,0 +1,37 @@
+"""The result folder of ``simulate`` as a recording: its pings with the poses they were taken at."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+from insonify.errors import RecordingError
+from insonify.io.pings import load_ping
+from insonify.io.recordings.recording import RecordedPing, Recording, RecordingWarning
+
+PINGS = "pings"
+
+
+def read_simulated(path: Path) -> Recording | None:
+    """Open a result folder of ``simulate``; None of another folder.
+
+    Raises:
+        RecordingError: Its first ping cannot be read; turns of a scanning sonar are no fans.
+    """
+    files = sorted((path / PINGS).glob("*.npz"))
+    if not files or not (path / "config.toml").is_file():
+        return None
+    load_ping(files[0])
+
+    def read() -> Iterator[RecordedPing]:
+        for file in files:
+            try:
+                saved = load_ping(file)
+            except RecordingError as err:
+                warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
+                continue
+            yield RecordedPing(saved.ping, saved.pose)
+
+    facts = {"poses": f"{len(files)}, where they were simulated"}
+    return Recording(path, "result of simulate", len(files), True, facts, read)
