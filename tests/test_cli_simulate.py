@@ -126,6 +126,13 @@ def test_the_sunken_ship_and_the_missing_mesh(tmp_path: Path) -> None:
     assert done.returncode == 2 and "herkules.dae" in done.stderr
 
 
+def test_turns_are_no_recording(tmp_path: Path) -> None:
+    words = ["simulate", "msis-tank", "--out", "s", "--set", "sonar.sector_deg=20"]
+    assert _run(*words, cwd=tmp_path).returncode == 0
+    done = _run("info", "s", cwd=tmp_path)
+    assert done.returncode == 2 and "turns of a scanning sonar" in done.stderr
+
+
 def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:
     """A wall 4 m ahead, seen on the way past: occupied voxels lie on it, none before it."""
     wall = trimesh.creation.box((0.2, 8.0, 6.0))

@@ -94,6 +94,15 @@ def save_sweep(
     _write(path, SWEEP, arrays)
 
 
+def is_sweep(path: Path) -> bool:
+    """Whether a file is one of `save_sweep`."""
+    try:
+        read_archive(path, SWEEP, VERSION, RecordingError)
+    except RecordingError:
+        return False
+    return True
+
+
 def save_sidescan(path: Path, image: Float32, bin_m: float, poses: list[Pose]) -> None:
     """Write a side-scan image, (lines, 2 x bins) float32, the first line last, and its poses."""
     arrays = {"image": image, "bin_m": np.array(bin_m), "poses": np.array([*map(_six, poses)])}

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from insonify.errors import RecordingError
-from insonify.io.pings import load_ping
+from insonify.io.pings import is_sweep, load_ping
 from insonify.io.recordings.recording import RecordedPing, Recording, RecordingWarning
 
 PINGS = "pings"
@@ -22,7 +22,14 @@ def read_simulated(path: Path) -> Recording | None:
     files = sorted((path / PINGS).glob("*.npz"))
     if not files or not (path / "config.toml").is_file():
         return None
-    load_ping(files[0])
+    try:
+        load_ping(files[0])
+    except RecordingError:
+        if not is_sweep(files[0]):
+            raise
+        raise RecordingError(
+            f"{path}: turns of a scanning sonar, whose pings are no fans to map or view"
+        ) from None
 
     def read() -> Iterator[RecordedPing]:
         for file in files:
