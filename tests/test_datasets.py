@@ -133,7 +133,7 @@ def test_ground_is_not_aimed_at() -> None:
     for world, labels in (
         ("grid", {"grid"}),
         ("structures", {"manifold", "wellheads", "pipelines", "boulders"}),
-        ("fls-tank", {"pillar", "ball"}),
+        ("tank", {"pillar", "ball"}),
     ):
         config = dataset_config(world, [])
         views = Views(config, build_scene(config.world))

@@ -48,7 +48,7 @@ class PoseSettings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     look_at: tuple[str, ...] = Field(
-        (), description="labels of bodies to aim at; empty: all but the ground"
+        (), description="labels of bodies to aim at; empty: all narrower than half of the world"
     )
     standoff_min_m: float = Field(0.0, ge=0, description="0: a quarter of the sonar's reach")
     standoff_max_m: float = Field(0.0, ge=0, description="0: three quarters of the sonar's reach")
@@ -126,7 +126,7 @@ class Views:
     def aims(self) -> tuple[int, ...]:
         """Numbers of the bodies that are aimed at.
 
-        Ground is the seabed, or in a world without one a body four times as wide as any other.
+        Seabeds and walls, those wider than half of the world, only where there is nothing else.
 
         Raises:
             ConfigError: A label of ``poses.look_at`` is no body's.
@@ -140,14 +140,13 @@ class Views:
                 )
         if wanted:
             return tuple(k for k, label in enumerate(labels) if label in wanted)
-        if self.scene.seabed is not None:
-            return tuple(range(max(1, len(labels) - 1)))
-        spans = [float(np.ptp(vertices, axis=0).max()) for vertices, _ in self.scene.meshes]
-        widest = int(np.argmax(spans))
-        others = tuple(k for k in range(len(spans)) if k != widest)
-        if others and spans[widest] > 4.0 * max(spans[k] for k in others):
-            return others
-        return tuple(range(len(labels)))
+        widths = [np.ptp(vertices, axis=0).max() for vertices, _ in self.scene.meshes]
+        everything = np.concatenate([vertices for vertices, _ in self.scene.meshes])
+        narrow = np.asarray(widths) <= np.ptp(everything, axis=0).max() / 2
+        if not narrow.any() and len(labels) > 1:
+            narrow[:] = True
+            narrow[int(np.argmax(widths))] = False
+        return tuple(np.flatnonzero(narrow).tolist()) or (0,)
 
     def view(self, number: int) -> View:
         """A view with its truth, numbers from 0.

@@ -102,8 +102,6 @@ def simulation_config(world: str, layers: Iterable[Table]) -> Simulation:
         ConfigError: A setting is unknown or out of range, or the route is missing.
     """
     table = imaging_table(world, layers)
-    if world in simulations():
-        table.pop("poses", None)  # a dataset's
     if "route" not in table:
         raise ConfigError(
             'say where the sonar is: --pose "x y z roll pitch yaw", --path FILE or --orbit'

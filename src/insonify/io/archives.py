@@ -49,6 +49,9 @@ def read_archive(
     if not path.is_file():
         raise error(f"{path}: there is no such file; check the path")
     try:
+        with path.open("rb") as file:
+            if file.read(2) != b"PK":
+                raise error(f"{path}: not an {form} file")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             if str(archive["format"]) != form or int(archive["version"]) != version:
                 raise error(
