@@ -16,19 +16,19 @@ from insonify.cli.root import (
     ConfigOption,
     ForceOption,
     JsonOption,
+    MaterialsOption,
+    ModelOption,
     OutOption,
     RendererOption,
+    SearchOption,
     SetOption,
-    absolute_world,
     app,
     choices,
-    file_layers,
     interruptible,
     print_listing,
-    single_layers,
     stderr,
+    world_and_layers,
 )
-from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
     from insonify.datasets import Dataset
@@ -41,21 +41,14 @@ def dataset(
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="How many views.")] = None,
     sonar: Annotated[str | None, typer.Option(help="A device; see: sonars")] = None,
-    model: Annotated[
-        str | None, typer.Option(help="cerqueira or physical.", show_default=False)
-    ] = None,
+    model: ModelOption = None,
     renderer: RendererOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the poses and the noise.")] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; by default one for each core.")
     ] = None,
-    search: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="Look for models here; may be repeated."),
-    ] = None,
-    materials: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML table of materials by name.")
-    ] = None,
+    search: SearchOption = None,
+    materials: MaterialsOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -63,6 +56,7 @@ def dataset(
     as_json: JsonOption = False,
 ) -> None:
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
+    from insonify.datasets import dataset_config
     from insonify.io.configs import dataset_to_toml
     from insonify.io.datasets import ANNOTATIONS, DONE, all_cores, write_dataset
     from insonify.io.folders import result_folder, unused_folder
@@ -71,17 +65,18 @@ def dataset(
 
     device = {"preset": sonar} if sonar else None
     chosen = choices(sonar=device, model=model, renderer=renderer, seed=seed, count=count)
-    full = _configure(world, config, settings, chosen)
+    full = dataset_config(*world_and_layers(world, config, settings, chosen))
     table = read_materials(materials) if materials else None
     folder = out or unused_folder(Path("insonify-runs") / f"{Path(full.world).stem}-dataset")
-    before = find_unfinished(folder, dataset_to_toml(full), DONE)
+    text = dataset_to_toml(full) + _beside(search, materials)
+    before = find_unfinished(folder, text, DONE)
     with (
         result_folder(folder, force=force) as place,
         interruptible("stopping after the views that are being made") as interrupted,
     ):
         if before is not None:
             before.replace(place.scratch)
-        claim(place.scratch, dataset_to_toml(full))
+        claim(place.scratch, text)
         with _progress(full) as watch:
             whole = write_dataset(
                 full,
@@ -112,20 +107,12 @@ def dataset(
     print(f"Dataset: {place.target}", file=sys.stderr)
 
 
-def _configure(
-    world: str | None, config: Path | None, settings: list[str] | None, chosen: dict[str, Any]
-) -> Dataset:
-    from insonify.datasets import dataset_config
-
-    from_file = file_layers(config)
-    if world is None:
-        if not from_file or "world" not in from_file[0]:
-            raise ConfigError(
-                "name a world (a file, or tank, grid, structures), or give a --config"
-            )
-        world = str(from_file[0]["world"])
-    layers = [*from_file, chosen, *single_layers(settings)]
-    return dataset_config(absolute_world(world) or world, layers)
+def _beside(search: list[Path] | None, materials: Path | None) -> str:
+    """What a dataset depends on that is no setting, as comments below its settings."""
+    lines = [f"models looked for in {folder}" for folder in search or ()]
+    if materials is not None:
+        lines += ["materials:", *materials.read_text(encoding="utf-8").splitlines()]
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
 def _result(config: Dataset, document: dict[str, Any]) -> dict[str, Any]:

@@ -45,6 +45,15 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Replace results in D
 RendererOption = Annotated[
     str | None, typer.Option("--renderer", help="embree or opengl.", show_default=False)
 ]
+ModelOption = Annotated[str | None, typer.Option(help="cerqueira or physical.", show_default=False)]
+SearchOption = Annotated[
+    list[Path] | None,
+    typer.Option("--search", metavar="DIR", help="Look for models here; may be repeated."),
+]
+MaterialsOption = Annotated[
+    Path | None,
+    typer.Option("--materials", metavar="FILE", help="TOML table of materials by name."),
+]
 
 
 class Interrupted(BaseException):
@@ -61,6 +70,24 @@ def absolute_world(world: str | None) -> str | None:
     if world is not None and Path(world).suffix and Path(world).is_file():
         return str(Path(world).absolute())
     return world
+
+
+def world_and_layers(
+    world: str | None, config: Path | None, settings: list[str] | None, chosen: Table
+) -> tuple[str, list[Table]]:
+    """The world of a command, and the settings on top: file, then options, then single settings.
+
+    Raises:
+        ConfigError: Neither the command nor the file names a world.
+    """
+    from_file = file_layers(config)
+    if world is None:
+        if not from_file or "world" not in from_file[0]:
+            raise ConfigError(
+                "name a world (a file, or tank, grid, structures), or give a --config"
+            )
+        world = str(from_file[0]["world"])
+    return absolute_world(world) or world, [*from_file, chosen, *single_layers(settings)]
 
 
 def file_layers(config: Path | None) -> list[Table]:

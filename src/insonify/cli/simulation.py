@@ -18,16 +18,17 @@ from insonify.cli.root import (
     ConfigOption,
     ForceOption,
     JsonOption,
+    MaterialsOption,
+    ModelOption,
     OutOption,
     RendererOption,
+    SearchOption,
     SetOption,
-    absolute_world,
     app,
     choices,
-    file_layers,
     interruptible,
-    single_layers,
     stderr,
+    world_and_layers,
 )
 from insonify.errors import ConfigError
 
@@ -61,9 +62,7 @@ def simulate(
             metavar="'X Y Z RADIUS COUNT PITCH'", help="Ping around x, y at height z, looking in."
         ),
     ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="cerqueira or physical.", show_default=False)
-    ] = None,
+    model: ModelOption = None,
     renderer: RendererOption = None,
     truth: Annotated[
         bool, typer.Option("--truth", help="Label, elevation, range, point, shadow of each pixel.")
@@ -72,13 +71,8 @@ def simulate(
         bool, typer.Option("--camera", help="A camera's picture beside each ping (OpenGL).")
     ] = False,
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
-    search: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="Look for models here; may be repeated."),
-    ] = None,
-    materials: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML table of materials by name.")
-    ] = None,
+    search: SearchOption = None,
+    materials: MaterialsOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -88,13 +82,14 @@ def simulate(
     """Simulate a sonar in a world: images, arrays with their geometry, and their truth."""
     from insonify.io.folders import result_folder, unused_folder
     from insonify.scene.materials import read_materials
-    from insonify.simulation import build_scene
+    from insonify.simulation import build_scene, simulation_config
     from insonify.simulation import simulate as run
     from insonify.sonar.camera import Camera
 
     device = {"preset": sonar} if sonar else None
     chosen = choices(sonar=device, model=model, renderer=renderer, seed=seed)
-    full = _configure(world, config, settings, chosen | _route(pose, path, orbit))
+    chosen |= _route(pose, path, orbit)
+    full = simulation_config(*world_and_layers(world, config, settings, chosen))
     scene = build_scene(full.world, search or (), read_materials(materials) if materials else None)
     eye = Camera(full.camera) if camera else None
     folder = out or unused_folder(
@@ -116,22 +111,6 @@ def simulate(
     print(f"Results: {place.target}", file=sys.stderr)
     if interrupted():
         raise typer.Exit(EXIT_INTERRUPTED)
-
-
-def _configure(
-    world: str | None, config: Path | None, settings: list[str] | None, chosen: Table
-) -> Simulation:
-    from insonify.simulation import simulation_config
-
-    from_file = file_layers(config)
-    if world is None:
-        if not from_file or "world" not in from_file[0]:
-            raise ConfigError(
-                "name a world (a file, or tank, grid, structures), or give a --config"
-            )
-        world = str(from_file[0]["world"])
-    layers = [*from_file, chosen, *single_layers(settings)]
-    return simulation_config(absolute_world(world) or world, layers)
 
 
 def _route(pose: str | None, path: Path | None, orbit: str | None) -> Table:

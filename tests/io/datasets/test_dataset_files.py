@@ -199,6 +199,16 @@ def test_its_config_makes_it_again(folder: Path, tmp_path: Path) -> None:
     assert _contents(tmp_path / "d") == _contents(folder)
 
 
+def test_materials_stand_in_the_config(tmp_path: Path) -> None:
+    (tmp_path / "m.toml").write_text("[steel]\nreflectance = 0.9\n")
+    arguments = ["--count", "1", "--workers", "1", "--materials", str(tmp_path / "m.toml")]
+    _make(tmp_path / "d", *arguments)
+    text = (tmp_path / "d/config.toml").read_text()
+    assert text.endswith("# materials:\n# [steel]\n# reflectance = 0.9\n")
+    command = ["dataset", "--config", str(tmp_path / "d/config.toml"), "--out", str(tmp_path / "e")]
+    assert CliRunner().invoke(app, command, catch_exceptions=False).exit_code == 0
+
+
 def test_the_loader_in_the_docs(folder: Path) -> None:
     """Run as it stands there, without torch, which needs but these two methods."""
     page = Path(__file__).parents[3] / "docs" / "datasets.md"
