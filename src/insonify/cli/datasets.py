@@ -29,6 +29,7 @@ from insonify.cli.root import (
     stderr,
     world_and_layers,
 )
+from insonify.errors import OutputError
 
 if TYPE_CHECKING:
     from insonify.datasets import Dataset
@@ -58,7 +59,7 @@ def dataset(
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
     from insonify.datasets import dataset_config
     from insonify.io.configs import dataset_to_toml
-    from insonify.io.datasets import ANNOTATIONS, DONE, all_cores, write_dataset
+    from insonify.io.datasets import DONE, all_cores, write_dataset
     from insonify.io.folders import result_folder, unused_folder
     from insonify.io.unfinished import OWNER, claim, find_unfinished
     from insonify.scene.materials import read_materials
@@ -77,29 +78,31 @@ def dataset(
         if before is not None:
             before.replace(place.scratch)
         claim(place.scratch, text)
-        with _progress(full) as watch:
-            whole = write_dataset(
-                full,
-                place.scratch,
-                workers=workers or all_cores(),
-                search=tuple(search or ()),
-                materials=table,
-                watch=watch,
-                should_stop=interrupted,
-            )
-        if not whole:
-            kept = place.scratch.with_name(f"{place.scratch.name}-kept")
-            place.scratch.replace(kept)
-            done = sum(1 for _ in (kept / DONE).iterdir())
-            print(
-                f"insonify: interrupted after {done} of {full.count} views; the same command goes "
-                "on from there",
-                file=sys.stderr,
-            )
+        try:
+            with _progress(full) as watch:
+                seen = write_dataset(
+                    full,
+                    place.scratch,
+                    workers=workers or all_cores(),
+                    search=tuple(search or ()),
+                    materials=table,
+                    watch=watch,
+                    should_stop=interrupted,
+                )
+        except (OSError, OutputError):
+            _keep(place.scratch, full.count)
+            raise
+        if seen is None:
+            _keep(place.scratch, full.count)
             raise typer.Exit(EXIT_INTERRUPTED)
         (place.scratch / OWNER).unlink()
-        document = json.loads((place.scratch / ANNOTATIONS).read_text(encoding="utf-8"))
-    result = _result(full, document)
+    result = {
+        "world": full.world,
+        "sonar": full.sonar.name,
+        "seed": full.seed,
+        "views": full.count,
+        "categories": seen,
+    }
     if as_json:
         print(json.dumps(result, indent=2))
     else:
@@ -115,21 +118,17 @@ def _beside(search: list[Path] | None, materials: Path | None) -> str:
     return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
-def _result(config: Dataset, document: dict[str, Any]) -> dict[str, Any]:
-    """A summary: how often each category is seen, and how many pixels of it."""
-    names = {entry["id"]: entry["name"] for entry in document["categories"]}
-    seen = {name: {"views": 0, "pixels": 0} for name in names.values()}
-    for annotation in document["annotations"]:
-        entry = seen[names[annotation["category_id"]]]
-        entry["views"] += 1
-        entry["pixels"] += annotation["area"]
-    return {
-        "world": config.world,
-        "sonar": config.sonar.name,
-        "seed": config.seed,
-        "views": config.count,
-        "categories": seen,
-    }
+def _keep(scratch: Path, count: int) -> None:
+    """Leave what is whole for the same command to go on with."""
+    from insonify.io.datasets import DONE
+
+    kept = scratch.with_name(f"{scratch.name}-kept")
+    scratch.replace(kept)
+    done = sum(1 for _ in (kept / DONE).glob("*.json"))
+    print(
+        f"insonify: stopped after {done} of {count} views; the same command goes on from there",
+        file=sys.stderr,
+    )
 
 
 @contextmanager

@@ -22,14 +22,22 @@ Item = TypeVar("Item")
 
 
 class Thinned(Generic[Item]):
-    """Items of a sequence of unknown length within a memory limit: all, then every second..."""
+    """Items of a sequence of unknown length within a memory limit: all, then every second...
+
+    One thread may add while another asks.
+    """
 
     def __init__(self, most_bytes: int = MOST_BYTES, stride: int = 1) -> None:
         """Empty; ``stride`` is what it begins with."""
-        self.stride = stride
         self._most_bytes = most_bytes
-        self._kept: dict[int, tuple[Item, int]] = {}
+        self._kept: tuple[int, dict[int, tuple[Item, int]]] = (stride, {})
+        self._bytes = 0
         self._last: tuple[int, Item] | None = None
+
+    @property
+    def stride(self) -> int:
+        """How many items there are for each that is kept."""
+        return self._kept[0]
 
     def wants(self, number: int) -> bool:
         """Whether item ``number``, counted from 1, would be kept."""
@@ -38,22 +46,27 @@ class Thinned(Generic[Item]):
     def add(self, number: int, item: Item, size_bytes: int) -> None:
         """Take an item; the last one added is kept whatever its number."""
         self._last = (number, item)
+        stride, kept = self._kept
         if self.wants(number):
-            self._kept[number] = (item, size_bytes)
-        while len(self._kept) > 1 and sum(s for _, s in self._kept.values()) > self._most_bytes:
-            self.stride *= 2
-            self._kept = {n: kept for n, kept in self._kept.items() if self.wants(n)}
+            kept[number] = (item, size_bytes)
+            self._bytes += size_bytes
+        while len(kept) > 1 and self._bytes > self._most_bytes:
+            stride *= 2
+            kept = {n: pair for n, pair in kept.items() if (n - 1) % stride == 0}
+            self._bytes = sum(size for _, size in kept.values())
+            self._kept = (stride, kept)
 
     def at(self, number: int) -> tuple[int, Item] | None:
         """The last item kept up to a number, with its own number; None before the first."""
         last = self._last
         if last is not None and last[0] <= number:
             return last
-        nearest = (number - 1) // self.stride * self.stride + 1
+        stride, kept = self._kept
+        nearest = (number - 1) // stride * stride + 1
         while nearest > 0:
-            if nearest in self._kept:
-                return nearest, self._kept[nearest][0]
-            nearest -= self.stride
+            if nearest in kept:
+                return nearest, kept[nearest][0]
+            nearest -= stride
         return None
 
 
@@ -130,9 +143,9 @@ class Story:
     ) -> None:
         """Note a ping."""
         other = None if true_pose == pose else true_pose
-        self.moments.append(Moment(ping.time_s, ping.geometry, pose, other, scan))
         grey = np.round(np.clip(ping.image, 0.0, 1.0) * 255.0).astype(np.uint8)
-        self.images.add(len(self.moments), grey, grey.nbytes)
+        self.images.add(len(self.moments) + 1, grey, grey.nbytes)  # before a page looks for it
+        self.moments.append(Moment(ping.time_s, ping.geometry, pose, other, scan))
 
     def add_map(self, voxels: VoxelMap, region: Box) -> None:
         """Note the map as it is after the last ping noted."""

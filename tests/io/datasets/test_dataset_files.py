@@ -25,7 +25,8 @@ from typer.testing import CliRunner
 
 from insonify.cli import app
 from insonify.datasets import Views, dataset_config
-from insonify.errors import InsonifyError
+from insonify.errors import ConfigError, InsonifyError, OutputError
+from insonify.io.datasets import write_dataset
 from insonify.io.datasets.coco import run_lengths
 from insonify.simulation import build_scene
 from insonify.types import Array
@@ -155,6 +156,34 @@ def test_a_killed_dataset_goes_on_where_it_was(folder: Path, tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [target]
 
 
+def test_a_full_disk_keeps_what_is_whole(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(path: Path, data: bytes) -> None:
+        if path.name == "000003.png":
+            raise OutputError(f"{path}: cannot be written (no space left on device)")
+        path.write_bytes(data)
+
+    monkeypatch.setattr("insonify.io.datasets.write_file", write)
+    words = ["dataset", "structures", *SMALL, "--out", str(tmp_path / "d")]
+    words += ["--count", str(COUNT), "--workers", "1"]
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, OutputError)
+    assert f"stopped after 3 of {COUNT} views" in done.stderr
+    monkeypatch.undo()
+    (left,) = tmp_path.iterdir()
+    (left / "owner.pid").write_text("999999999 0.0")  # as if that process were gone
+    _make(tmp_path / "d", "--count", str(COUNT), "--workers", "1")
+    assert _contents(tmp_path / "d") == _contents(folder)
+    assert list(tmp_path.iterdir()) == [tmp_path / "d"]
+
+
+def test_more_bodies_than_a_mask_tells_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("insonify.io.datasets.coco.MOST_LABELS", 3)
+    with pytest.raises(ConfigError, match="has 5 bodies, and a mask tells 3 apart"):
+        write_dataset(dataset_config("structures", []), Path("nowhere"))
+
+
 def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "insonify", "dataset", "structures", *SMALL]
     command += ["--out", str(tmp_path / "d"), "--count", "500", "--workers", "2"]
@@ -169,7 +198,7 @@ def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:
         assert process.stderr is not None
         told = process.stderr.read()
     assert process.returncode == 130
-    found = re.search(r"interrupted after (\d+) of 500 views; the same command goes on", told)
+    found = re.search(r"stopped after (\d+) of 500 views; the same command goes on", told)
     assert found and "Traceback" not in told
     (left,) = tmp_path.iterdir()
     assert len(list((left / "done").iterdir())) == int(found[1]) >= 2

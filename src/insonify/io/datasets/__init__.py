@@ -12,10 +12,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numba
 
 from insonify.datasets import Dataset, Views
+from insonify.errors import ConfigError
 from insonify.io.datasets import coco, store
 from insonify.io.folders import write_file
 from insonify.scene.materials import Material
@@ -38,7 +40,7 @@ def write_dataset(
     materials: dict[str, Material] | None = None,
     watch: Callable[[int], None] = lambda done: None,
     should_stop: Callable[[], bool] = lambda: False,
-) -> bool:
+) -> dict[str, dict[str, int]] | None:
     """Write a dataset into a folder, or go on with what an earlier call left there.
 
     The files depend on the settings alone, not on the number of workers or on interruptions.
@@ -53,13 +55,19 @@ def write_dataset(
         should_stop: Asked after each view; if true the folder is left for another call.
 
     Returns:
-        Whether it is whole.
+        In how many views each category is, and how many pixels show it; None if it was stopped.
 
     Raises:
-        ConfigError: No pose was found for a view, or there is no such world.
+        ConfigError: No pose was found for a view, there is no such world, or it has too many
+            bodies.
         MissingExtraError: The package zarr is not installed.
     """
     scene = build_scene(config.world, search, materials)
+    if len(scene.labels) > coco.MOST_LABELS:
+        raise ConfigError(
+            f"{config.world}: has {len(scene.labels)} bodies, and a mask tells "
+            f"{coco.MOST_LABELS} apart; merge some"
+        )
     views = Views(config, scene)
     views.pose(0)  # found out before any work, if none can be had
     for name in (DONE, IMAGES, MASKS):
@@ -75,13 +83,16 @@ def write_dataset(
         done += 1
         watch(done)
     if done < config.count:
-        return False
-    rows = [json.loads(_marker(folder, k).read_text("utf-8")) for k in range(config.count)]
-    store.finish(folder / STORE, views, rows)
-    document = json.dumps(coco.document(views, rows)) + "\n"
-    write_file(folder / ANNOTATIONS, document.encode())
+        return None
+
+    def rows() -> Iterator[dict[str, Any]]:
+        for number in range(config.count):
+            yield json.loads(_marker(folder, number).read_text(encoding="utf-8"))
+
+    store.finish(folder / STORE, views, [row["pose"] for row in rows()])
+    seen = coco.write_annotations(folder / ANNOTATIONS, views, rows)
     shutil.rmtree(folder / DONE)
-    return True
+    return seen
 
 
 def _made(

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import json
 import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +23,8 @@ from insonify.sonar.truth import Truth, label_colours
 from insonify.types import Array, Bool, Ping
 
 SHADOW = "shadow"
+MOST_LABELS = 254
+"""A mask has a byte a pixel, and needs two values for nothing and shadow."""
 
 
 def file_name(number: int) -> str:
@@ -66,40 +71,64 @@ def row(view: View) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def document(views: Views, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The annotations of all views."""
-    config = views.config
-    images: list[dict[str, Any]] = []
-    annotations: list[dict[str, Any]] = []
-    for number, said in enumerate(rows):
-        bins, beams = said["size"]
-        images.append(
-            {
-                "id": number,
-                "file_name": f"images/{file_name(number)}",
-                "width": beams,
-                "height": bins,
-                "pose_m_deg": [*said["pose"][:3], *map(math.degrees, said["pose"][3:])],
-            }
-        )
-        for mask in said["masks"]:
-            annotations.append(
-                {"id": len(annotations) + 1, "image_id": number, "iscrowd": 0} | mask
-            )
+def write_annotations(
+    path: Path, views: Views, rows: Callable[[], Iterable[dict[str, Any]]]
+) -> dict[str, dict[str, int]]:
+    """Write the annotations of all views, one after another, since they may be many.
+
+    Args:
+        path: The file; it appears whole or not at all.
+        views: The dataset.
+        rows: What `row` said of each view, in order, to be gone through twice.
+
+    Returns:
+        In how many views each category is, and how many pixels show it.
+    """
     names = [*views.scene.labels, SHADOW]
+    seen = {name: {"views": 0, "pixels": 0} for name in names}
+    scratch = path.with_name(f".{path.name}.part")
+    with scratch.open("w", encoding="utf-8") as file:
+        head = json.dumps({"info": _info(views), "licenses": [], "categories": _categories(names)})
+        file.write(head.removesuffix("}") + ', "images": [')
+        for number, said in enumerate(rows()):
+            file.write((",\n" if number else "\n") + json.dumps(_image(number, said)))
+        file.write('\n], "annotations": [')
+        count = 0
+        for number, said in enumerate(rows()):
+            for mask in said["masks"]:
+                note = {"id": count + 1, "image_id": number, "iscrowd": 0} | mask
+                file.write((",\n" if count else "\n") + json.dumps(note))
+                entry = seen[names[mask["category_id"] - 1]]
+                entry["views"] += 1
+                entry["pixels"] += mask["area"]
+                count += 1
+        file.write("\n]}\n")
+    scratch.replace(path)
+    return seen
+
+
+def _info(views: Views) -> dict[str, str]:
+    config = views.config
+    about = (
+        f"{config.world}, {config.sonar.name}, {config.model}, seed {config.seed}; polar images: "
+        "rows are range bins, nearest on top, columns are beams, port on the left"
+    )
+    return {"description": about, "version": "1"}
+
+
+def _categories(names: list[str]) -> list[dict[str, Any]]:
+    return [{"id": k, "name": name, "supercategory": "sonar"} for k, name in enumerate(names, 1)]
+
+
+def _image(number: int, said: dict[str, Any]) -> dict[str, Any]:
+    bins, beams = said["size"]
+    pose = said["pose"]
     return {
-        "info": {
-            "description": f"{config.world}, {config.sonar.name}, {config.model}, "
-            f"seed {config.seed}; polar images: rows are range bins, nearest on top, columns are "
-            "beams, port on the left",
-            "version": "1",
-        },
-        "licenses": [],
-        "categories": [
-            {"id": k, "name": name, "supercategory": "sonar"} for k, name in enumerate(names, 1)
-        ],
-        "images": images,
-        "annotations": annotations,
+        "id": number,
+        "file_name": f"images/{file_name(number)}",
+        "width": beams,
+        "height": bins,
+        "pose_m_deg": [*pose[:3], *map(math.degrees, pose[3:])],
     }
 
 

@@ -71,17 +71,17 @@ def write(path: Path, view: View) -> None:
         group[name][view.number] = pixels
 
 
-def finish(path: Path, views: Views, rows: list[dict[str, Any]]) -> None:
+def finish(path: Path, views: Views, poses: list[list[float]]) -> None:
     """Write what is of all views: the poses, and where bins and beams lie."""
     zarr = optional("zarr", "datasets", "a dataset")
     group = zarr.open_group(path, mode="r+", zarr_format=3)
-    poses: Float64 = np.array([said["pose"] for said in rows], np.float64).reshape(-1, 6)
-    _line(group, "view", np.arange(len(rows)), "view", {"long_name": "number of the view"})
+    columns: Float64 = np.array(poses, np.float64).reshape(-1, 6).T
+    _line(group, "view", np.arange(len(poses)), "view", {"long_name": "number of the view"})
     ranges = {"long_name": "centre range of the bin", "units": "m"}
     _line(group, "bin_range_m", views.geometry.bin_ranges_m, "bin", ranges)
     azimuths = {"long_name": "centre azimuth of the beam, to port", "units": "rad"}
     _line(group, "azimuth_rad", views.geometry.beam_azimuths_rad, "beam", azimuths)
-    for name, values in zip(POSE, poses.T, strict=True):
+    for name, values in zip(POSE, columns, strict=True):
         what, units = name.split("_")
         about = {"long_name": f"{what} of the vehicle", "units": units}
         _line(group, name, values, "view", about)
