@@ -43,6 +43,25 @@ def _refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
         assert word in flat
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["scan", "--seed", "x"], r"'--seed': .*integer.*, not 'x' \(see `insonify scan --help`\)"),
+        (["scan", "--seed=x"], r", not 'x' \("),
+        (["scan", "--sead", "1"], r"no such option: --sead .*--seed"),
+        (["sacn"], r"no such command 'sacn'.*'scan'.*\(see `insonify --help`\)"),
+        (["map"], r"missing argument 'RECORDING"),
+    ],
+)
+def test_a_wrong_command_line_is_one_sentence(words: list[str], told: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "insonify", *words], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert re.match(rf"insonify: .*{told}", line), line
+
+
 def test_scan_writes_everything_and_the_config_runs_again(tmp_path: Path) -> None:
     first = _run("scan", "tetrapod", *QUICK, "--seed", "4", "--out", "a", "--json", cwd=tmp_path)
     assert first.returncode == 0, first.stderr

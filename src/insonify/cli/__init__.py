@@ -9,7 +9,7 @@ import errno
 import signal
 import sys
 import warnings
-from typing import Annotated, TextIO
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 
@@ -45,6 +45,30 @@ __all__ = [
 ]
 
 
+_UsageError = cast(type[Exception], typer.BadParameter.__bases__[0])
+"""What typer raises on a command line that makes no sense; it has no public name for it."""
+
+
+def _usage(err: Any) -> str:
+    """What is wrong with a command line, in one sentence."""
+    message = " ".join(err.format_message().split()).removesuffix(".")
+    given = _given(getattr(err, "param", None))
+    command = err.ctx.command_path if err.ctx is not None else "insonify"
+    return f"{message[:1].lower()}{message[1:]}{given} (see `{command} --help`)"
+
+
+def _given(param: Any) -> str:
+    """What was given for an option, where that was the trouble."""
+    words = sys.argv[1:]
+    for option in getattr(param, "opts", ()):
+        for word, following in zip(words, [*words[1:], ""], strict=True):
+            if word == option and following:
+                return f", not {following!r}"
+            if option.startswith("--") and word.startswith(f"{option}="):
+                return f", not {word.removeprefix(f'{option}=')!r}"
+    return ""
+
+
 def _interrupt(signum: int, frame: object) -> None:
     raise Interrupted
 
@@ -65,8 +89,13 @@ def main() -> None:
     """Run the command line; bad input is one sentence and exit code 2."""
     signal.signal(signal.SIGINT, _interrupt)
     warnings.showwarning = _show_warning
+    if len(sys.argv) == 1:
+        app()  # shows the help
     try:
-        app()
+        sys.exit(app(standalone_mode=False, prog_name="insonify"))
+    except _UsageError as err:
+        print(f"insonify: {_usage(err)}", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
     except InsonifyError as err:
         print(f"insonify: {err}", file=sys.stderr)
         sys.exit(EXIT_BAD_INPUT)
