@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
@@ -49,7 +49,7 @@ class RayTracer:
         for vertices, faces in meshes:
             local = np.ascontiguousarray(vertices - self._middle, dtype=np.float32)
             TriangleMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
-        self._threads = os.cpu_count() or 1
+        self._threads = numba.get_num_threads()  # one rule for rays and kernels
         self._pool: ThreadPoolExecutor | None = None
 
     def cast(self, origin_m: Float64, directions: Float32, limit_m: float = np.inf) -> Hits:
