@@ -29,7 +29,7 @@ from insonify.cli.root import (
     stderr,
     world_and_layers,
 )
-from insonify.errors import OutputError
+from insonify.errors import MemoryLimitError, OutputError
 
 if TYPE_CHECKING:
     from insonify.datasets import Dataset
@@ -89,7 +89,7 @@ def dataset(
                     watch=watch,
                     should_stop=interrupted,
                 )
-        except (OSError, OutputError):
+        except (OSError, OutputError, MemoryLimitError):
             _keep(place.scratch, full.count)
             raise
         if seen is None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import xarray
 from hypothesis import given
@@ -182,6 +183,23 @@ def test_more_bodies_than_a_mask_tells_apart(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("insonify.io.datasets.coco.MOST_LABELS", 3)
     with pytest.raises(ConfigError, match="has 5 bodies, and a mask tells 3 apart"):
         write_dataset(dataset_config("structures", []), Path("nowhere"))
+
+
+def test_a_worker_that_is_killed_loses_nothing_else(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "insonify", "dataset", "structures", *SMALL]
+    command += ["--out", str(tmp_path / "d"), "--count", "500", "--workers", "2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        limit = time.monotonic() + 60.0
+        while len(list(tmp_path.glob(".d-*/done/00000?.json"))) < 2:
+            assert process.poll() is None and time.monotonic() < limit
+            time.sleep(0.01)
+        psutil.Process(process.pid).children()[-1].kill()
+        assert process.stderr is not None
+        told = process.stderr.read()
+    assert process.returncode == 2
+    assert "fewer --workers" in told and "of 500 views" in told and "Traceback" not in told
+    (left,) = tmp_path.iterdir()
+    assert len(list((left / "done").iterdir())) >= 2
 
 
 def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:

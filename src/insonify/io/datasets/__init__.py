@@ -9,6 +9,7 @@ import signal
 import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 import numba
 
 from insonify.datasets import Dataset, Views
-from insonify.errors import ConfigError
+from insonify.errors import ConfigError, MemoryLimitError
 from insonify.io.datasets import coco, store
 from insonify.io.folders import write_file
 from insonify.scene.materials import Material
@@ -60,6 +61,7 @@ def write_dataset(
     Raises:
         ConfigError: No pose was found for a view, there is no such world, or it has too many
             bodies.
+        MemoryLimitError: A worker was killed.
         MissingExtraError: The package zarr is not installed.
     """
     scene = build_scene(config.world, search, materials)
@@ -128,7 +130,13 @@ def _made(
                 return
             finished, running = wait(running, return_when=FIRST_COMPLETED)
             for future in finished:
-                yield future.result()
+                try:
+                    yield future.result()
+                except BrokenProcessPool as err:
+                    raise MemoryLimitError(
+                        "a process that was making views was killed, most likely for want of "
+                        "memory; start the same command again with fewer --workers"
+                    ) from err
 
 
 def _begin(
