@@ -123,6 +123,12 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         _until(lambda: browser.execute_script(source) != last)
         before = _changes(browser, before)
 
+        _tick(browser, "play")
+        _until(lambda: f"ping {said['pings']} of {said['pings']}" in _text(browser))
+        _until(
+            lambda: not browser.find_element("css selector", "input[type='checkbox']").is_selected()
+        )
+        before = _settled(browser)
         for label in ("occupied voxels", "true object", "entropy"):
             _tick(browser, label)
             before = _changes(browser, before)
