@@ -41,6 +41,17 @@ def test_the_reference_lists_every_public_name_and_room() -> None:
     assert rooms == parts - INTERNAL
 
 
+def test_examples_are_shown_from_their_first_import() -> None:
+    shown = 0
+    for page in (ROOT / "docs").glob("*.md"):
+        for name, line in re.findall(r'"(examples/[\w.]+):(\d+)"', page.read_text("utf-8")):
+            lines = (ROOT / name).read_text("utf-8").splitlines()
+            first = next(k for k, text in enumerate(lines, 1) if text.startswith("import"))
+            assert int(line) == first, f"{page.name}: {name}"
+            shown += 1
+    assert shown >= 5
+
+
 def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
