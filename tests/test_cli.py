@@ -43,6 +43,23 @@ def _refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
         assert word in flat
 
 
+def test_ctrl_c_while_it_starts_shows_no_traceback(tmp_path: Path) -> None:
+    """A stand-in for typer takes its time to be imported."""
+    (tmp_path / "typer.py").write_text("open('begun', 'w').close()\nimport time\ntime.sleep(60)\n")
+    with subprocess.Popen(
+        [sys.executable, "-m", "insonify", "scan"],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        while not (tmp_path / "begun").exists():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.stderr is not None
+        told = process.stderr.read()
+    assert process.returncode == 130
+    assert told == "insonify: interrupted; nothing was written\n"
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
