@@ -27,6 +27,14 @@ _PLANNED, _TRUE_PATH, _CLUSTER = (150, 150, 150), (240, 240, 240), (76, 201, 240
 _EDGES, _SEABED, _OBJECT = (255, 190, 90), (94, 84, 64), (230, 230, 235)
 
 
+def light(scene: Any) -> None:
+    """A light from the south and above that leaves colours what the legends say."""
+    scene.configure_default_lights(False)
+    scene.configure_environment_map(None)
+    scene.add_light_ambient("/light/everywhere", intensity=0.7)
+    scene.add_light_directional("/light/sun", intensity=1.5, position=(2.0, -3.0, 8.0))
+
+
 def draw_world(scene: Any, world: Sequence[Solid]) -> None:
     """The true objects, half transparent, and the true seabed."""
     for solid in world:

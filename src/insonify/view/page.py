@@ -86,6 +86,7 @@ class Page:
     def _build(self) -> None:
         gui, scene = self._server.gui, self._server.scene
         scene.set_up_direction("+z")
+        layers.light(scene)
         gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._slider = gui.add_slider("ping", min=0, max=1, step=1, initial_value=0, visible=False)
