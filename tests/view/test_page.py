@@ -111,7 +111,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         assert result["stop_reason"] in _text(browser)
         picture = browser.find_element("css selector", "img[alt='sonar image']")
         last = picture.get_attribute("src")
-        assert picture.get_property("naturalWidth") == 560
+        _until(lambda: picture.get_property("naturalWidth") == 560)
         _until(lambda: len(np.unique(_canvas(browser).reshape(-1, 3) // 32, axis=0)) > 8)
         before = _settled(browser)
 
