@@ -18,11 +18,11 @@ from benchmarks import navigation
 from benchmarks.measure import Row, machine, median_s, write
 from insonify.frames import directions_from_angles, world_from_sonar
 from insonify.mapping.bayes import BayesMapper
+from insonify.mission.setup import World, scenario_config
 from insonify.planning.active import EntropyPlanner
 from insonify.planning.baselines import path_over_centre
 from insonify.planning.dbscan import dbscan
-from insonify.planning.gain import entropy_in_view
-from insonify.scenarios import World, scenario_config
+from insonify.planning.gain import expected_gain
 from insonify.types import Float64, Nav, Ping, Pose
 
 
@@ -140,24 +140,19 @@ def planning() -> Iterator[Row]:
     planner = world.planner()
     assert isinstance(planner, EntropyPlanner)
     nav = Nav(poses[-1], (path_over_centre(world.area, 0.0),))
-    look = planner.next_scan(mapper.voxels, nav).look
+    look = planner.next_scan(mapper, nav).look
     assert look is not None
-    occupied = mapper.voxels.occupied_m()
 
     def score() -> Float64:
-        return entropy_in_view(
-            look.candidates,
-            planner.geometry,
-            mapper.voxels.voxel_m,
-            occupied,
-            look.cluster.voxels_m,
-            look.cluster.voxel_entropy,
+        cluster = look.cluster
+        return expected_gain(
+            mapper, look.candidates, planner.geometry, cluster.voxels_m, cluster.voxel_entropy
         )
 
     yield Row(
         f"{len(look.candidates)} candidates scored", 1e3 * median_s(score, 15), "ms", at_most=50
     )
-    whole = median_s(lambda: planner.next_scan(mapper.voxels, nav), 7)
+    whole = median_s(lambda: planner.next_scan(mapper, nav), 7)
     yield Row("whole decision: entropy, clusters, gain", 1e3 * whole, "ms")
 
 

@@ -32,12 +32,11 @@ from insonify.errors import InsonifyError
 from insonify.io.maps import load_map, save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
-from insonify.io.recordings.messages import message_types
 from insonify.io.recordings.poses import read_poses
-from insonify.io.recordings.recording import RecordedPing
+from insonify.io.recordings.ros.messages import message_types
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
-from insonify.sonar.devices import read_device
-from insonify.types import FanGeometry, Ping, Pose
+from insonify.sonar.devices import named_device
+from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
 MOST_BYTES = 1 << 30
 """Address space that reading a file of some kilobytes may take beyond what is in use."""
@@ -94,7 +93,7 @@ def _oculus(version: int) -> Make:
 def _arrays(folder: Path, rng: np.random.Generator) -> Path:
     fan = FanGeometry(0.5, 0.2, 6, 8, 0.1, 2.0)
     pings = [
-        RecordedPing(Ping(rng.random((8, 6), np.float32), fan, float(k)), Pose(k, 0.0, 0.0))
+        PosedPing(Ping(rng.random((8, 6), np.float32), fan, float(k)), Pose(k, 0.0, 0.0))
         for k in range(3)
     ]
     save_arrays(folder / "r.npz", pings)
@@ -206,7 +205,7 @@ READERS = (
     Reader("poses beside images", _beside("poses.csv"), _pings, lambda path: path.parent),
     Reader("sonar beside images", _beside("sonar.toml"), _pings, lambda path: path.parent),
     Reader("poses (TUM)", _beside("poses.csv"), read_poses),
-    Reader("sonar (TOML)", _beside("sonar.toml"), read_device),
+    Reader("sonar (TOML)", _beside("sonar.toml"), lambda path: named_device(str(path))),
     Reader("MCAP", _bag("mcap"), _pings),
     Reader("MCAP, bare", _bare_mcap, _pings),
     Reader("ROS 1 bag", _bag("ros1"), _pings),

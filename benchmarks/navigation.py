@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from benchmarks.measure import machine
 from insonify.frames import rotation_from_attitude
 from insonify.scene import Scene
+from insonify.scene.probes import ray_query
 from insonify.scene.seabed import procedural_seabed
-from insonify.scene.sounding import sounder
 from insonify.types import Float64, Pose
 from insonify.vehicle.craft import Craft
 from insonify.vehicle.description import vehicle_named
@@ -46,7 +46,7 @@ def voyage(scene: Scene, start: Pose, route: tuple[Pose, ...], seed: int) -> Cra
         {"name": "bluerov2", "navigation": "dvl", "current": current, "lost_m": 100.0}
     )
     rng = np.random.default_rng(seed)
-    craft = Craft(vehicle_named("bluerov2"), settings, start, sounder(scene), rng)
+    craft = Craft(vehicle_named("bluerov2"), settings, start, ray_query(scene), rng)
     craft.follower.follow(route)
     while not craft.follower.finished:
         craft.tick()
@@ -57,7 +57,7 @@ def error_in_sigmas(craft: Craft) -> float:
     """Normalised squared error of position, velocity and attitude: chi-square, 9 degrees."""
     estimator = craft.estimator
     assert estimator is not None
-    state, moment = estimator.state, craft.belief()
+    state, moment = estimator.state, craft.motion()
     true = craft.true_state
     turn = rotation_from_attitude(true[3:7])
     between = moment.turn.T @ turn

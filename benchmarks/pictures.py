@@ -17,17 +17,18 @@ from PIL import Image
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from benchmarks.chromium import chromium, missing
-from insonify.datasets import Views, dataset_config
-from insonify.io.datasets import coco
+from insonify.imaging.dataset import Shots, dataset_config
+from insonify.imaging.route import Shot, Turn, simulate, simulation_config
 from insonify.io.recordings import open_recording
+from insonify.mission.run import execute
+from insonify.mission.setup import scenario_config
 from insonify.report.fans import INK, draw_fan, fan_pixels, png
 from insonify.report.html import write_report
 from insonify.report.pictures import draw_decision, draw_slices
-from insonify.runs import execute
-from insonify.scenarios import scenario_config
+from insonify.results.dataset import coco
 from insonify.scene.experiments import bumpy_sphere, structures
 from insonify.scene.materials import Material
-from insonify.simulation import Turn, View, build_scene, simulate, simulation_config
+from insonify.scene.named import named_scene
 from insonify.sonar import Sonar
 from insonify.sonar.camera import Camera
 from insonify.sonar.devices import SonarDevice
@@ -46,10 +47,12 @@ RECORDINGS, WORLDS = Path("../shared/data/recordings"), Path("../shared/data/wor
 def scan() -> None:
     """The wreck's first decision, a ping and the map."""
     run = execute(scenario_config("wreck"))
-    _, _, ping = run.keyframes[3]
-    (FOLDER / "wreck-decision.png").write_bytes(draw_decision(run, run.snapshots[0], 1))
-    (FOLDER / "wreck-ping.png").write_bytes(draw_fan(ping, "wreck, scan 2"))
-    (FOLDER / "wreck-map.png").write_bytes(draw_slices(run))
+    account = run.account()
+    _, posed = account.keyframes[3]
+    first = account.decisions[1]
+    (FOLDER / "wreck-decision.png").write_bytes(draw_decision(account, first, 1))
+    (FOLDER / "wreck-ping.png").write_bytes(draw_fan(posed.ping, "wreck, scan 2"))
+    (FOLDER / "wreck-map.png").write_bytes(draw_slices(account))
 
 
 def pages() -> None:
@@ -58,7 +61,7 @@ def pages() -> None:
     run = execute(scenario_config("wreck"), watch=story.watch)
     with tempfile.TemporaryDirectory() as folder, chromium(1500, 950) as browser:
         report = Path(folder) / "report.html"
-        write_report(run, report)
+        write_report(run.account(), report)
         browser.get(report.as_uri())
         _when(browser, "#scene .gl-container canvas")
         _photograph(browser, "report.png")
@@ -79,15 +82,15 @@ def pages() -> None:
 
 
 def views() -> None:
-    """Views of a dataset of the real wreck's site, each beside its mask."""
+    """Shots of a dataset of the real wreck's site, each beside its mask."""
     world = str(WORLDS / "sunken_ship_site.world")
     config = dataset_config(world, [{"sonar": {"preset": "gemini-720i", "range_max_m": 50.0}}])
-    made = Views(config, build_scene(world))
+    made = Shots(config, named_scene(world))
     tiles = []
     for number in range(8):
-        view = made.view(number)
-        assert view.truth is not None
-        for png_bytes in (coco.image_png(view.ping), coco.mask_png(view.truth)):
+        shot = made.shot(number)
+        assert shot.truth is not None
+        for png_bytes in (coco.image_png(shot.posed.ping), coco.mask_png(shot.truth)):
             tile = Image.open(io.BytesIO(png_bytes)).convert("RGB")
             tiles.append(np.asarray(tile.resize((190, 380))))
     rows = [np.concatenate(tiles[k : k + 8], axis=1) for k in (0, 8)]
@@ -120,17 +123,19 @@ def experiments() -> None:
         panels = figure.subplots(3, 2 if kind == "fls" else 3)
         for row, name in zip(panels, names, strict=True):
             config = simulation_config(name, [])
-            scene = build_scene(config.world)
+            scene = named_scene(config.world)
             (record,) = simulate(config, scene)
-            assert isinstance(record, View | Turn)
-            pose = record.pose if isinstance(record, View) else record.pings[0].pose
+            assert isinstance(record, Shot | Turn)
+            posed = record.posed if isinstance(record, Shot) else record.pings[0]
+            pose = posed.pose
+            assert pose is not None
             tilt = math.radians(config.sonar.tilt_deg)
             tilted = dataclasses.replace(pose, pitch_rad=pose.pitch_rad + tilt)
             row[0].imshow(camera.take(scene, tilted))
             row[0].set_axis_off()
             row[0].set_title(name, fontsize=9, color=INK)
-            if isinstance(record, View):
-                _show(row[1], record.ping, "")
+            if isinstance(record, Shot):
+                _show(row[1], record.posed.ping, "")
             else:
                 _show(row[1], record.polar, "as it comes")
                 _show(row[2], record.deskewed, "de-skewed")

@@ -27,7 +27,7 @@ from insonify.scene.meshes import place_mesh, scaled
 from insonify.scene.objects import shipwreck
 from insonify.scene.seabed import procedural_seabed
 from insonify.sonar import RendererName, Sonar, renderer_named
-from insonify.sonar.devices import Kind, SonarDevice, sonar_preset, sonar_presets
+from insonify.sonar.devices import Kind, SonarDevice, named_device, sonar_presets
 from insonify.sonar.formation import normalise_energy
 from insonify.sonar.histogram import Renderer
 from insonify.sonar.sampling import SamplingSettings, even_samples
@@ -154,7 +154,7 @@ def paper_tables(frames: int = FRAMES) -> Iterator[dict[str, object]]:
 def preset_table(frames: int = 15) -> Iterator[dict[str, object]]:
     """Every preset at its full beams and bins against its own ping rate."""
     for name in sonar_presets():
-        device = sonar_preset(name)
+        device = named_device(name)
         range_m = device.range_max_m
         scene, around = world(range_m=range_m), poses(frames, range_m)
         spent = timed(Sonar(device), scene, around)

@@ -18,7 +18,7 @@ run = execute(config)
 for entry in run.history:
     scores = entry.metrics["solid"]["exact"]
     print(f"scan {entry.scan}: {entry.total_entropy_bits:.0f} bits left, F1 {scores['f1']:.3f}")
-print(run.stop_reason.value)
+print(run.stop_reason.sentence)
 save_map(run.mapper.voxels, folder / "first-scan.bt")  # for OctoMap; the suffix names the format
-write_report(run, folder / "first-scan.html")
+write_report(run.account(), folder / "first-scan.html")
 print(f"report: {folder / 'first-scan.html'}")

@@ -1,8 +1,10 @@
 """Your own planner, beside the paper's: look next at the side that is known least.
 
-python examples/04_own_planner.py
+python examples/04_own_planner.py, or from the command line:
 
-A planner decides from the map and its own motion, never from the truth.
+insonify scan tetrapod --planner examples/04_own_planner.py:LeastKnownSide
+
+A planner decides from what the mapper believes and its own motion, never from the truth.
 """
 
 import math
@@ -19,16 +21,17 @@ class LeastKnownSide:
 
     name = "least known side"
 
-    def __init__(self, area, scans):
+    def __init__(self, area, geometry, scans=3):
+        """For the order and the sonar; `scans` can be set: --set planner_options.scans=4."""
         self.area, self.scans = area, scans
 
-    def next_scan(self, voxels, nav):
+    def next_scan(self, belief, nav):
         """The answer to: the map is this, where next?"""
         if len(nav.scans) == self.scans:
             return Decision(stop=StopReason.PLAN_FLOWN)
         if not nav.scans:
             return Decision(path=path_over_centre(self.area, self.area.heading_rad))
-        window = voxels.window(self.area.region)
+        window = belief.voxels.window(self.area.region)
         unknown = entropy_map(window) > 0.9
         towards = window.centres_m(unknown)[:, :2] - self.area.region.centre_m[:2]
         headings = np.arange(8) * math.tau / 8
@@ -37,8 +40,10 @@ class LeastKnownSide:
         return Decision(path=path_over_centre(self.area, headings[best]))
 
 
-config = scenario_config("tetrapod", [{"mapping": {"voxel_m": 0.2}}])
-area = World(config).area
-for run in (execute(config, LeastKnownSide(area, scans=3)), execute(config)):
-    f1 = run.result()["metrics"]["solid"]["exact"]["f1"]
-    print(f"{run.planner}: {len(run.paths)} scans, {run.path_m:.0f} m, solid F1 {f1:.3f}")
+if __name__ == "__main__":
+    config = scenario_config("tetrapod", [{"mapping": {"voxel_m": 0.2}}])
+    mine = LeastKnownSide(World(config).area, config.sonar.geometry)
+    for run in (execute(config, planner=mine), execute(config)):
+        result = run.result()
+        f1 = result.metrics["solid"]["exact"]["f1"]
+        print(f"{result.planner}: {result.scans} scans, {result.path_m:.0f} m, solid F1 {f1:.3f}")

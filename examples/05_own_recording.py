@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from insonify import Pose, World, map_recordings, open_recording, save_map, scenario_config
-from insonify.mapping.bayes import MappingSettings
+from insonify.mapping.mapper import MappingSettings
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "build/examples")
 folder.mkdir(parents=True, exist_ok=True)
@@ -38,8 +38,8 @@ np.savez_compressed(
 
 recording = open_recording(folder / "dive.npz")
 print(f"{recording.format}: {recording.count} pings")
-replay = map_recordings([recording], MappingSettings(voxel_m=0.2))
-result = replay.result()
-print(f"{result['occupied_voxels']} occupied voxels along {result['path_m']:.1f} m")
-save_map(replay.mapper.voxels, folder / "dive.glb")
+remap = map_recordings([recording], MappingSettings(voxel_m=0.2))
+result = remap.result()
+print(f"{result.occupied_voxels} occupied voxels along {result.path_m:.1f} m")
+save_map(remap.mapper.voxels, folder / "dive.glb")
 print(f"surface: {folder / 'dive.glb'}")

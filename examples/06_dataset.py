@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import xarray
 
-from insonify.datasets import dataset_config
-from insonify.io.datasets import write_dataset
+from insonify.imaging.dataset import dataset_config
+from insonify.results.dataset import write_dataset
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "build/examples") / "views"
 folder.mkdir(parents=True, exist_ok=True)

@@ -27,12 +27,12 @@ config = scenario_config(
 )
 run = execute(config)
 
-flown = run.result()["vehicle"]
-error = flown["pose_error"]
-print(f"{flown['name']} flew {run.path_m:.0f} m in {flown['time_s']:.0f} s")
+result = run.result()
+flown, error = result.vehicle, result.vehicle.pose_error
+print(f"{flown.name} flew {result.path_m:.0f} m in {flown.time_s:.0f} s")
 print(f"position off by {error['position_mean_m']:.2f} m in the mean")
-own = run.result()["metrics"]["solid"]["exact"]["f1"]
-perfect = flown["metrics_at_true_poses"]["solid"]["exact"]["f1"]
+own = result.metrics["solid"]["exact"]["f1"]
+perfect = flown.metrics_at_true_poses["solid"]["exact"]["f1"]
 print(f"solid F1 {own:.3f}, and {perfect:.3f} with the same pings at their true poses")
-write_report(run, folder / "vehicle.html")
+write_report(run.account(), folder / "vehicle.html")
 print(f"report: {folder / 'vehicle.html'}")

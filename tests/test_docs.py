@@ -13,7 +13,7 @@ from pathlib import Path
 import insonify
 
 ROOT = Path(__file__).parents[1]
-INTERNAL = {"jit", "cli"}
+INTERNAL = {"cli"}
 
 
 class _Loads(HTMLParser):

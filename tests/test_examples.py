@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def _number(text: str, pattern: str) -> float:
 
 def test_there_is_one_for_each_subject() -> None:
     subjects = ("first_ping", "first_scan", "own_sonar", "own_planner", "own_recording", "dataset",
-                "vehicle")  # fmt: skip
+                "vehicle", "own_mapper")  # fmt: skip
     assert [f"{k:02d}_{subject}.py" for k, subject in enumerate(subjects, 1)] == EXAMPLES
 
 
@@ -94,3 +95,28 @@ def test_vehicle(folder: Path) -> None:
     assert 0.0 < _number(said, r"off by ([\d.]+) m") < 1.0
     assert _number(said, r"solid F1 ([\d.]+),") > 0.3
     assert (folder / "vehicle.html").is_file()
+
+
+def test_own_mapper(folder: Path) -> None:
+    said = _run("08_own_mapper.py", folder)
+    scores = [float(score) for score in re.findall(r": \d scans, solid F1 ([\d.]+)", said)]
+    assert len(scores) == 2 and min(scores) > 0.4
+
+
+@pytest.mark.parametrize(
+    ("option", "plugin", "key"),
+    [
+        ("--planner", "04_own_planner.py:LeastKnownSide", "planner"),
+        ("--mapper", "08_own_mapper.py:Despeckled", "mapper"),
+    ],
+)
+def test_own_parts_run_from_the_command_line(
+    option: str, plugin: str, key: str, tmp_path: Path
+) -> None:
+    quick = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=6"]
+    named = [option, str(ROOT / "examples" / plugin), "--out", "run"]
+    command = [sys.executable, "-m", "insonify", "scan", "tetrapod", *quick, *named]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    config = tomllib.loads((tmp_path / "run/config.toml").read_text())
+    assert config[key] == str(ROOT / "examples" / plugin)

@@ -13,37 +13,47 @@ if TYPE_CHECKING:
     from insonify.io.maps import save_map as save_map
     from insonify.io.recordings import open_recording as open_recording
     from insonify.mapping.bayes import BayesMapper as BayesMapper
+    from insonify.mapping.mapper import Belief as Belief
+    from insonify.mapping.mapper import Mapper as Mapper
     from insonify.mapping.voxels import VoxelMap as VoxelMap
+    from insonify.mission.remap import map_recordings as map_recordings
+    from insonify.mission.run import execute as execute
+    from insonify.mission.setup import World as World
+    from insonify.mission.setup import scenario_config as scenario_config
     from insonify.planning.decision import Decision as Decision
     from insonify.planning.decision import Planner as Planner
-    from insonify.planning.decision import StopReason as StopReason
-    from insonify.replay import map_recordings as map_recordings
-    from insonify.runs import execute as execute
-    from insonify.scenarios import World as World
-    from insonify.scenarios import scenario_config as scenario_config
+    from insonify.results.files import load_result as load_result
+    from insonify.results.scan import load_scan as load_scan
+    from insonify.results.scan import save_scan as save_scan
     from insonify.scene import Scene as Scene
     from insonify.scene.worlds import load_scene as load_scene
     from insonify.sonar import Sonar as Sonar
     from insonify.types import Pose as Pose
+    from insonify.types import StopReason as StopReason
 
 _HOMES = {
     "BayesMapper": "insonify.mapping.bayes",
+    "Belief": "insonify.mapping.mapper",
     "Decision": "insonify.planning.decision",
     "InsonifyError": "insonify.errors",
+    "Mapper": "insonify.mapping.mapper",
     "Planner": "insonify.planning.decision",
     "Pose": "insonify.types",
     "Scene": "insonify.scene",
     "Sonar": "insonify.sonar",
-    "StopReason": "insonify.planning.decision",
+    "StopReason": "insonify.types",
     "VoxelMap": "insonify.mapping.voxels",
-    "World": "insonify.scenarios",
-    "execute": "insonify.runs",
-    "load_scene": "insonify.scene.worlds",
+    "World": "insonify.mission.setup",
+    "execute": "insonify.mission.run",
     "load_map": "insonify.io.maps",
-    "map_recordings": "insonify.replay",
+    "load_result": "insonify.results.files",
+    "load_scan": "insonify.results.scan",
+    "load_scene": "insonify.scene.worlds",
+    "map_recordings": "insonify.mission.remap",
     "open_recording": "insonify.io.recordings",
     "save_map": "insonify.io.maps",
-    "scenario_config": "insonify.scenarios",
+    "save_scan": "insonify.results.scan",
+    "scenario_config": "insonify.mission.setup",
 }
 
 __all__ = sorted([*_HOMES, "__version__"])

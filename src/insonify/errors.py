@@ -31,6 +31,10 @@ class OutputError(InsonifyError):
     """A result cannot be written, or would overwrite something."""
 
 
+class ResultError(InsonifyError):
+    """A result's folder or file is missing, corrupt or of another version."""
+
+
 class MapFileError(InsonifyError):
     """A map file is missing, corrupt or of another version."""
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from insonify.jit import kernel
 from insonify.mapping.voxels import VoxelMap
 from insonify.scene import Body, Scene
-from insonify.types import Bool, Box, Float64, Int32
+from insonify.types import Array, Bool, Box, Float64, Int32
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +40,23 @@ class GroundTruth:
     surface: Bool
     solid: Bool
     scored: Bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A part of the true world: its name, vertices (N, 3) metres and faces (M, 3)."""
+
+    name: str
+    vertices: Array
+    faces: Array
+
+
+def solids_of(scene: Scene) -> tuple[Solid, ...]:
+    """The bodies of a scene, and its seabed under that name."""
+    return tuple(
+        Solid(name, vertices, faces)
+        for name, (vertices, faces) in zip(scene.labels, scene.meshes, strict=True)
+    )
 
 
 def ground_truth(scene: Scene, body: Body, voxel_m: float) -> GroundTruth:

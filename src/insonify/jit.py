@@ -1,22 +1,38 @@
 """Typed doors to numba, so that kernels keep their signatures under ``mypy --strict``.
 
-Kernels are compiled once and cached on disk.  The cache notices a change of the kernel's own file
-only, so a kernel calls no kernel of another file (``tests/test_layers.py`` checks it).
-``parallel_kernel`` spreads ``prange`` over all cores; every kernel in the project writes each
-output from one iteration only, so the number of threads never changes a result.
+Kernels are compiled once and cached on disk.  The cache's folder is named after a digest of all
+files that have kernels, so that a change of any of them compiles all anew: a kernel may call those
+of other files.  ``parallel_kernel`` spreads ``prange`` over all cores; every kernel in the project
+writes each output from one iteration only, so the number of threads never changes a result.
 """
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import os
+import shutil
+import tempfile
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numba
+from numba.core import config, event
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 prange = numba.prange
+KERNELS: list[Any] = []
+"""All that are known so far: those of the modules that were imported."""
+
+_log = logging.getLogger(__name__)
+_PACKAGE = Path(__file__).parent
+_PREFIX = "kernels-"
+_CONFIG: Any = config
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -29,11 +45,67 @@ def parallel_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compile(function, parallel=True)
 
 
+@cache
+def cache_folder() -> Path | None:
+    """Where compiled kernels are kept; None if nothing can be written, so that nothing is kept.
+
+    That is beside the sources, or else in ``NUMBA_CACHE_DIR`` or the user's own cache.
+    """
+    name = _PREFIX + kernels_digest()
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111
+    places = [Path(given)] if given else [_PACKAGE / "__pycache__", Path(home) / "insonify"]
+    for place in places:
+        with suppress(OSError):
+            (place / name).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=place / name):
+                pass
+            _forget_others(place, name)
+            return place / name
+    _log.warning("no folder can be written for compiled kernels; each start compiles them anew")
+    return None
+
+
+def kernels_digest() -> str:
+    """A digest of all files of the package that have kernels, and of numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(_PACKAGE.rglob("*.py")):
+        text = path.read_bytes()
+        if b"insonify.jit import" in text or path == Path(__file__):
+            digest.update(text)
+    return digest.hexdigest()[:16]
+
+
+def _forget_others(place: Path, name: str) -> None:
+    """Remove the kernels of other versions of the sources."""
+    for folder in place.glob(f"{_PREFIX}*"):
+        if folder.name != name:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _compile(function: Callable[P, R], parallel: bool) -> Callable[P, R]:
-    options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "parallel": parallel}
-    compiled: Callable[P, R]
+    folder = cache_folder()
+    before = _CONFIG.CACHE_DIR
+    _CONFIG.CACHE_DIR = "" if folder is None else str(folder)
     try:
-        compiled = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # neither the sources' folder nor a home can be written: compile each time
-        compiled = numba.njit(**options)(function)
+        compiled: Callable[P, R] = numba.njit(
+            cache=folder is not None, error_model="numpy", nogil=True, parallel=parallel
+        )(function)
+    finally:
+        _CONFIG.CACHE_DIR = before
+    KERNELS.append(compiled)
     return compiled
+
+
+class _Announcer(event.Listener):
+    """Says in the log which kernel is being compiled; one that is loaded is not."""
+
+    def on_start(self, event: Any) -> None:
+        """One begins; those that it calls come inside it."""
+        _log.info("compiling %s", getattr(event.data["dispatcher"], "__name__", "a kernel"))
+
+    def on_end(self, event: Any) -> None:
+        """One is done."""
+
+
+event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -100,12 +101,29 @@ class FanGeometry:
 class Ping:
     """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean.
 
-    ``time_s`` is when its sound was sent.
+    ``time_s`` is when its sound was sent; ``head_rad`` how far to the left of its base's ahead a
+    head that turns looked.
     """
 
     image: Float32
     geometry: FanGeometry
     time_s: float = 0.0
+    head_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedPing:
+    """A ping and where it was taken: simulated, recorded or remembered.
+
+    Attributes:
+        ping: The image.
+        pose: The body's pose in the world, as it was believed to be; None if nobody says.
+        true_pose: Where the body really was, if that is known and may be another.
+    """
+
+    ping: Ping
+    pose: Pose | None = None
+    true_pose: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,3 +201,45 @@ class Nav:
 
     pose: Pose | None
     scans: tuple[ScanPath, ...]
+
+
+class StopReason(StrEnum):
+    """Why a mission ended: a name for programs, and a sentence for people."""
+
+    NOT_WORTH_IT = "not_worth_it"
+    NO_CLUSTER = "no_cluster"
+    PLAN_FLOWN = "plan_flown"
+    SCAN_LIMIT = "scan_limit"
+    OBSTACLE = "obstacle"
+    NO_WAY = "no_way"
+    COLLISION = "collision"
+    TOO_SLOW = "too_slow"
+    LOST = "lost"
+    IMU_FAILED = "imu_failed"
+    SILENT = "silent"
+    INTERRUPTED = "interrupted"
+
+    @property
+    def sentence(self) -> str:
+        """What to tell people."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    StopReason.NOT_WORTH_IT: (
+        "No candidate pose would resolve more than TC of the largest cluster's entropy."
+    ),
+    StopReason.NO_CLUSTER: "No cluster of undecided voxels is left in the designated area.",
+    StopReason.PLAN_FLOWN: "All planned scans are flown.",
+    StopReason.SCAN_LIMIT: "The limit on the number of scans was reached.",
+    StopReason.OBSTACLE: "The next scan path runs into the object or the seabed.",
+    StopReason.NO_WAY: "A mapped obstacle bars the way, and no way round it was found.",
+    StopReason.COLLISION: "The vehicle ran into the object or the seabed.",
+    StopReason.TOO_SLOW: (
+        "The vehicle could not keep to its path: the current or the load is too strong."
+    ),
+    StopReason.LOST: "The vehicle no longer knows where it is: its position is too uncertain.",
+    StopReason.IMU_FAILED: "The IMU gives no numbers, and the vehicle cannot navigate without it.",
+    StopReason.SILENT: "The sonar has fallen silent.",
+    StopReason.INTERRUPTED: "The user interrupted the mission.",
+}

@@ -14,7 +14,7 @@ from insonify.io.routes import Route, read_route
 from insonify.scene.experiments import tank
 from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice
-from insonify.types import Pose
+from insonify.types import Pose, PosedPing
 
 DEVICE = SonarDevice(beams=16, bins=64, azimuth_fov_deg=40, range_max_m=8, tilt_deg=12)
 POSE = Pose(-3.0, 0.25, -2.0, 0.1, 0.2, 0.3)
@@ -23,20 +23,20 @@ POSE = Pose(-3.0, 0.25, -2.0, 0.1, 0.2, 0.3)
 def test_a_ping_with_truth_comes_back_as_it_was(tmp_path: Path) -> None:
     sonar, scene = Sonar(DEVICE), tank()
     ping, truth = sonar.ping(scene, POSE, time_s=1.5), sonar.truth(scene, POSE)
-    save_ping(tmp_path / "a.npz", ping, POSE, truth)
-    back = load_ping(tmp_path / "a.npz")
+    save_ping(tmp_path / "a.npz", PosedPing(ping, POSE), truth)
+    back, told = load_ping(tmp_path / "a.npz")
     np.testing.assert_array_equal(back.ping.image, ping.image)
     assert (back.ping.geometry, back.ping.time_s, back.pose) == (ping.geometry, 1.5, POSE)
-    assert back.truth is not None and back.truth.labels == truth.labels
+    assert told is not None and told.labels == truth.labels
     for name in ("label", "elevation_rad", "range_m", "point_m", "first_return", "shadow"):
-        np.testing.assert_array_equal(getattr(back.truth, name), getattr(truth, name))
-    save_ping(tmp_path / "b.npz", ping, POSE, truth)
+        np.testing.assert_array_equal(getattr(told, name), getattr(truth, name))
+    save_ping(tmp_path / "b.npz", PosedPing(ping, POSE), truth)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_damaged_pings_are_named(tmp_path: Path) -> None:
     path = tmp_path / "ping.npz"
-    save_ping(path, Sonar(DEVICE).ping(tank(), POSE), POSE)
+    save_ping(path, PosedPing(Sonar(DEVICE).ping(tank(), POSE), POSE))
     whole = path.read_bytes()
     rng = np.random.default_rng(0)
     for _ in range(60):

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from insonify.frames import directions_from_angles, world_from_sonar
-from insonify.mapping.bayes import BayesMapper, MappingSettings, count_echoes, log_odds
+from insonify.mapping.bayes import BayesMapper, count_echoes, log_odds
 from insonify.mapping.fan import blocks_in_fan
+from insonify.mapping.mapper import MappingSettings
 from insonify.mapping.voxels import IN_VIEW, OBSERVED
 from insonify.types import Box, FanGeometry, Ping, Pose
 
 SETTINGS = MappingSettings()
-L_OCC, L_FREE = log_odds(SETTINGS.p_occupied), log_odds(SETTINGS.p_free)
+L_OCC, L_FREE = log_odds(SETTINGS.bayes.p_occupied), log_odds(SETTINGS.bayes.p_free)
 
 
 def _geometry(beams: int = 24, bins: int = 60, azimuth: float = 29.0) -> FanGeometry:
@@ -154,7 +155,7 @@ def test_equation_2_is_bayes_rule_in_log_odds() -> None:
     prior_occupied, prior_free = 0.5, 0.5
     for _ in range(3):
         mapper.integrate(Ping(image, geometry), Pose(0.0, 0.0, 0.0))
-        likelihood = SETTINGS.p_occupied, 1.0 - SETTINGS.p_occupied
+        likelihood = SETTINGS.bayes.p_occupied, 1.0 - SETTINGS.bayes.p_occupied
         eta = 1.0 / (likelihood[0] * prior_occupied + likelihood[1] * prior_free)
         prior_occupied *= eta * likelihood[0]
         prior_free *= eta * likelihood[1]
@@ -190,8 +191,8 @@ def test_evidence_is_clamped_and_unknown_stays_apart_from_undecided() -> None:
     for _ in range(50):
         mapper.integrate(Ping(image, geometry), Pose(0, 0, 0))
     values = mapper.voxels.log_odds
-    assert values.max() == pytest.approx(log_odds(SETTINGS.p_max), rel=1e-6)
-    assert values.min() == pytest.approx(log_odds(SETTINGS.p_min), rel=1e-6)
+    assert values.max() == pytest.approx(log_odds(SETTINGS.bayes.p_max), rel=1e-6)
+    assert values.min() == pytest.approx(log_odds(SETTINGS.bayes.p_min), rel=1e-6)
     shadow = (mapper.voxels.seen == IN_VIEW) & (values == 0.0)
     unknown = (mapper.voxels.seen == 0) & (values == 0.0)
     assert shadow.any() and unknown.any()

@@ -9,16 +9,18 @@ import pytest
 from scipy import stats
 
 from insonify.frames import world_from_sonar
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.mapper import MappingSettings
 from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VoxelMap
 from insonify.planning.active import Counted, EntropyPlanner, EntropySettings, Standoff
 from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner, path_over_centre
 from insonify.planning.candidates import candidate_poses, standoff_radius, straight_path
 from insonify.planning.clusters import Cluster
-from insonify.planning.decision import Decision, StopReason, SurveyArea
+from insonify.planning.decision import Decision, SurveyArea
 from insonify.planning.entropy import binary_entropy, entropy_map, high_entropy_voxels
-from insonify.planning.gain import entropy_in_view
+from insonify.planning.gain import expected_gain
 from insonify.sonar.devices import SonarDevice
-from insonify.types import Box, Nav, Pose, ScanPath
+from insonify.types import Box, Nav, Pose, ScanPath, StopReason
 
 GEOMETRY = SonarDevice().geometry
 AREA = SurveyArea(Box((-4.0, -4.0, 0.0), (4.0, 4.0, 3.0)), 5.0, 0.0, 8.0, 2.0, 5)
@@ -77,7 +79,8 @@ def test_equation_8_is_linear_interpolation_with_fixed_heading() -> None:
 
 
 def test_equation_6_against_brute_force(rng: np.random.Generator) -> None:
-    occupied = rng.uniform([4, -3, 0], [11, 3, 4], (60, 3))
+    walls = _walls(rng.uniform([4, -3, 0], [11, 3, 4], (60, 3)))
+    occupied = walls.voxels.occupied_m()
     voxels = rng.uniform([2, -4, 0], [12, 4, 4], (3000, 3))
     entropy = rng.random(3000).astype(np.float32)
     poses = [Pose(0, 0, 5.0), Pose(0, 1, 5.0, yaw_rad=-0.2), Pose(12, 0, 5.0, yaw_rad=math.pi)]
@@ -107,14 +110,27 @@ def test_equation_6_against_brute_force(rng: np.random.Generator) -> None:
             if inside and r < nearest[min(int(column), GEOMETRY.beams - 1)]:
                 total += float(bits)
         expected.append(total)
-    found = entropy_in_view(poses, GEOMETRY, 0.1, occupied, voxels, entropy)
+    found = expected_gain(walls, poses, GEOMETRY, voxels, entropy)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
     assert found.min() > 0
-    clear = entropy_in_view(poses, GEOMETRY, 0.1, np.empty((0, 3)), voxels, entropy)
+    clear = expected_gain(_walls(np.empty((0, 3))), poses, GEOMETRY, voxels, entropy)
     assert (clear > found).all()
 
 
-def _map_with_doubt(visible: bool = True) -> VoxelMap:
+def _believing(voxels: VoxelMap) -> BayesMapper:
+    return BayesMapper(MappingSettings(voxel_m=voxels.voxel_m), voxels)
+
+
+def _walls(occupied_m: np.ndarray) -> BayesMapper:
+    """A map in which the voxels at some points are occupied."""
+    voxels = VoxelMap(0.1)
+    for index in np.floor(occupied_m / 0.1 + 1e-9).astype(np.int64):
+        (slot,) = voxels.allocate((index // BLOCK)[None].astype(np.int32))
+        voxels.log_odds[slot].reshape((BLOCK,) * 3)[tuple(index % BLOCK)] = 2.0
+    return _believing(voxels)
+
+
+def _map_with_doubt(visible: bool = True) -> BayesMapper:
     """A block of undecided voxels in front of which there is, or is not, a wall all around."""
     voxels = VoxelMap(0.25)
     grid = np.array([[x, y, z] for x in range(-3, 3) for y in range(-3, 3) for z in range(3)])
@@ -128,7 +144,7 @@ def _map_with_doubt(visible: bool = True) -> VoxelMap:
         wall = (flat > 2.0) & (flat < 2.6)
         voxels.log_odds[wall] = 3.0
         voxels.seen[wall] = IN_VIEW | OBSERVED
-    return voxels
+    return _believing(voxels)
 
 
 NAV = Nav(Pose(0, 0, 5.0), (ScanPath((Pose(0, 0, 5.0),)),))
@@ -168,12 +184,12 @@ def test_equation_9_goes_on_while_a_single_candidate_pays(
 ) -> None:
     import insonify.planning.active as active
 
-    def one_sees_much(poses: list[Pose], *_: object) -> np.ndarray:
+    def one_sees_much(belief: object, poses: list[Pose], *_: object) -> np.ndarray:
         bits = np.zeros(len(poses))
         bits[7] = 1e9
         return bits
 
-    monkeypatch.setattr(active, "entropy_in_view", one_sees_much)
+    monkeypatch.setattr(active, "expected_gain", one_sees_much)
     decision = EntropyPlanner(AREA, GEOMETRY, EntropySettings()).next_scan(_map_with_doubt(), NAV)
     assert decision.look is not None and decision.look.best == 7
     assert decision.path is not None and decision.path.waypoints[0] == decision.look.candidates[7]
@@ -184,7 +200,10 @@ def test_equation_6_stops_before_the_first_occupied_voxel() -> None:
     axis = world_from_sonar(pose, GEOMETRY.mount)[:3, 0]
     at = np.array([axis * r for r in (5.0, 6.0, 7.0)])
     bits = np.array([1.0, 2.0, 4.0], np.float32)
-    assert entropy_in_view([pose], GEOMETRY, 0.1, at[1:2], at, bits)[0] == 1.0
+    wall = _walls(at[1:2])
+    near = wall.voxels.occupied_m()[0]
+    at = np.array([near - axis, near, near + axis])
+    assert expected_gain(wall, [pose], GEOMETRY, at, bits)[0] == 1.0
 
 
 def test_a_first_scan_starts_before_the_region_along_its_heading() -> None:
@@ -195,7 +214,7 @@ def test_a_first_scan_starts_before_the_region_along_its_heading() -> None:
 
 def test_other_reasons_to_stop() -> None:
     planner = EntropyPlanner(AREA, GEOMETRY, EntropySettings(termination=0.0, max_scans=1))
-    assert planner.next_scan(VoxelMap(0.25), NAV).stop is StopReason.NO_CLUSTER
+    assert planner.next_scan(_believing(VoxelMap(0.25)), NAV).stop is StopReason.NO_CLUSTER
     assert planner.next_scan(_map_with_doubt(), NAV).stop is StopReason.SCAN_LIMIT
 
 
@@ -211,7 +230,7 @@ def test_the_papers_literal_rules_are_settings() -> None:
 
 def test_first_scan_passes_over_the_centre() -> None:
     planner = EntropyPlanner(AREA, GEOMETRY, EntropySettings())
-    path = planner.next_scan(VoxelMap(0.25), Nav(None, ())).path
+    path = planner.next_scan(_believing(VoxelMap(0.25)), Nav(None, ())).path
     assert path == path_over_centre(AREA, 0.0)
     assert path is not None
     assert (path.waypoints[0].x_m, path.waypoints[-1].x_m) == pytest.approx((-12.0, 2.0))
@@ -220,7 +239,7 @@ def test_first_scan_passes_over_the_centre() -> None:
 def _fly(planner: UniformPlanner | LawnmowerPlanner) -> list[ScanPath]:
     scans: tuple[ScanPath, ...] = ()
     while True:
-        decision = planner.next_scan(VoxelMap(1.0), Nav(None, scans))
+        decision = planner.next_scan(_believing(VoxelMap(1.0)), Nav(None, scans))
         if decision.path is None:
             assert decision.stop is StopReason.PLAN_FLOWN
             return list(scans)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from insonify.io.configs import config_to_toml
+from insonify.config.toml import config_to_toml
+from insonify.mission.run import execute
+from insonify.mission.setup import scenario_config
 from insonify.report.fans import fan_pixels
 from insonify.report.html import write_report
 from insonify.report.pictures import voxel_shell
-from insonify.runs import execute
-from insonify.scenarios import scenario_config
 from insonify.types import FanGeometry, Ping
 
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 12}}
@@ -25,7 +25,7 @@ SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 12}}
 def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = execute(scenario_config("tetrapod", [SMALL, {"planner": request.param}]))
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(run, path)
+    write_report(run.account(), path)
     return path
 
 
@@ -37,7 +37,7 @@ def test_report_is_self_contained_and_shows_everything(report: Path) -> None:
     for section in ("trajectory", "pings", "map", "metrics", "config"):
         assert f'<section id="{section}">' in body
     assert ('<section id="decisions">' in body) == ("entropy planner" in body)
-    text = config_to_toml(scenario_config("tetrapod", [SMALL]))
+    text = config_to_toml(scenario_config("tetrapod", [SMALL]), "scan")
     assert text.splitlines()[0] in body
 
 

@@ -7,7 +7,7 @@ import trimesh
 
 from insonify.frames import rotation_from_rpy
 from insonify.scene import Body, Scene
-from insonify.scene.sounding import hull_contact, sounder
+from insonify.scene.probes import hull_contact, ray_query
 from insonify.types import Pose
 
 
@@ -22,7 +22,7 @@ def _slope() -> Scene:
 
 
 def test_rays_find_range_and_squareness() -> None:
-    sound = sounder(_slope())
+    sound = ray_query(_slope())
     rays = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], np.float32)
     range_m, square = sound(np.array([0.0, 0.0, 5.0]), rays)
     np.testing.assert_allclose(range_m[0], 5.0, rtol=1e-5)

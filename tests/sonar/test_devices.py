@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from insonify.errors import ConfigError
-from insonify.sonar.devices import SonarDevice, sonar_preset, sonar_presets
+from insonify.sonar.devices import SonarDevice, named_device, sonar_presets
 
 
 def test_defaults_are_table_1_of_the_paper() -> None:
@@ -12,18 +12,20 @@ def test_defaults_are_table_1_of_the_paper() -> None:
     assert (device.azimuth_fov_deg, device.elevation_fov_deg, device.beams) == (29.0, 14.0, 96)
     assert (device.range_min_m, device.range_max_m, device.tilt_deg) == (0.0, 12.825, 30.0)
     assert device.geometry.bin_m == pytest.approx(0.025)
-    assert sonar_preset("park-2025") == device
+    assert named_device("park-2025") == device
 
 
 @pytest.mark.parametrize("name", sorted(sonar_presets()))
 def test_every_preset_is_a_device_with_a_source(name: str) -> None:
-    assert sonar_preset(name).name == name
+    assert named_device(name).name == name
     assert sonar_presets()[name]["source"]
 
 
-def test_unknown_preset_lists_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="park-2025"):
-        sonar_preset("nonesuch")
+def test_an_unknown_preset_is_told_where_the_known_ones_are() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'park-2025'"):
+        named_device("park-2024")
+    with pytest.raises(ConfigError, match="insonify sonars"):
+        named_device("nonesuch")
 
 
 @pytest.mark.parametrize(
@@ -51,13 +53,13 @@ def test_what_is_not_confirmed_is_a_field_of_the_device() -> None:
 
 
 def test_a_ping_takes_its_way_or_the_devices_own_time() -> None:
-    gemini = sonar_preset("gemini-720i")
+    gemini = named_device("gemini-720i")
     assert gemini.interval_s(1500.0) == pytest.approx(240.0 / 1500.0)
     near = gemini.model_copy(update={"range_max_m": 10.0})
     assert near.interval_s(1500.0) == pytest.approx(1 / 15)
 
 
 def test_a_preset_is_mounted_as_it_is_told_unless_it_knows_better() -> None:
-    assert sonar_preset("didson").tilt_deg == 0.0
-    assert sonar_preset("didson", tilt_deg=30.0).tilt_deg == 30.0
-    assert sonar_preset("profiler", tilt_deg=30.0).tilt_deg == 90.0
+    assert named_device("didson").tilt_deg == 0.0
+    assert named_device("didson", tilt_deg=30.0).tilt_deg == 30.0
+    assert named_device("profiler", tilt_deg=30.0).tilt_deg == 90.0

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from insonify.frames import transform_from_pose
 from insonify.scene import Body, Scene
 from insonify.sonar import Sonar
-from insonify.sonar.devices import SonarDevice, sonar_preset
+from insonify.sonar.devices import SonarDevice, named_device
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.scanning import (
     SIDES_RAD,
-    HeadPing,
     deskewed_image,
     head_angles,
     polar_image,
@@ -25,7 +24,7 @@ from insonify.sonar.scanning import (
     soundings,
     sweep,
 )
-from insonify.types import Float64, Ping, Pose
+from insonify.types import Float64, Ping, Pose, PosedPing
 
 DEVICE = SonarDevice(
     name="head", kind="scanning", azimuth_fov_deg=3, elevation_fov_deg=20, beams=1, bins=400,
@@ -45,13 +44,18 @@ def _room() -> Scene:
     return Scene(tuple(walls))
 
 
-def _turn(pose_at: object, device: SonarDevice = DEVICE, number: int = 0) -> list[HeadPing]:
+def _turn(pose_at: object, device: SonarDevice = DEVICE, number: int = 0) -> list[PosedPing]:
     sonar, scene = Sonar(device, image=QUIET), _room()
 
-    def ping(pose: Pose, head_rad: float, time_s: float) -> Ping:
-        return sonar.ping(scene, pose, head_rad=head_rad, time_s=time_s)
+    def ping(pose: Pose, head_rad: float, time_s: float) -> PosedPing:
+        return PosedPing(sonar.ping(scene, pose, head_rad=head_rad, time_s=time_s), pose)
 
     return list(sweep(ping, device, pose_at, number=number))  # type: ignore[arg-type]
+
+
+def _first(turn: list[PosedPing]) -> Pose:
+    assert turn[0].pose is not None
+    return turn[0].pose
 
 
 def _walls_error(image: Ping, centre: Pose) -> Float64:
@@ -80,7 +84,7 @@ def test_each_ping_has_its_own_time_and_pose() -> None:
     turn = _turn(lambda time_s: Pose(time_s, 0.0, 0.0))
     times = np.array([one.ping.time_s for one in turn])
     np.testing.assert_allclose(np.diff(times), 2 * 10.0 / 1500.0)
-    np.testing.assert_allclose([one.pose.x_m for one in turn], times)
+    np.testing.assert_allclose([one.pose.x_m for one in turn if one.pose is not None], times)
 
 
 def test_turning_distorts_the_room_and_deskewing_straightens_it() -> None:
@@ -91,8 +95,8 @@ def test_turning_distorts_the_room_and_deskewing_straightens_it() -> None:
         return Pose(0.5, 0.2, 0.0, yaw_rad=math.radians(20.0) * time_s / length_s)
 
     turn = _turn(pose_at)
-    skewed = np.abs(_walls_error(polar_image(turn, DEVICE), turn[0].pose))
-    straight = np.abs(_walls_error(deskewed_image(turn, DEVICE, turn[0].pose), turn[0].pose))
+    skewed = np.abs(_walls_error(polar_image(turn, DEVICE), _first(turn)))
+    straight = np.abs(_walls_error(deskewed_image(turn, DEVICE, _first(turn)), _first(turn)))
     sector = slice(12, -12)  # the turn leaves a gap at its seam
     assert skewed[sector].max() > 0.5
     assert straight[sector].max() < 0.2
@@ -101,15 +105,15 @@ def test_turning_distorts_the_room_and_deskewing_straightens_it() -> None:
 
 def test_deskewing_a_turn_at_rest_changes_little() -> None:
     turn = _turn(lambda time_s: Pose(0.5, 0.2, 0.0))
-    plain, moved = polar_image(turn, DEVICE), deskewed_image(turn, DEVICE, turn[0].pose)
-    assert np.abs(_walls_error(moved, turn[0].pose)).max() < 0.2
+    plain, moved = polar_image(turn, DEVICE), deskewed_image(turn, DEVICE, _first(turn))
+    assert np.abs(_walls_error(moved, _first(turn))).max() < 0.2
     assert abs(plain.image.mean() - moved.image.mean()) < 0.1 * plain.image.mean()
 
 
 def test_a_head_that_goes_back_and_forth_sees_the_same_from_the_other_end() -> None:
     device = DEVICE.model_copy(update={"sector_deg": 90.0, "back_and_forth": True})
     there, back = (_turn(lambda time_s: Pose(0, 0, 0), device, number) for number in (0, 1))
-    assert there[0].head_rad == -back[0].head_rad > 0
+    assert there[0].ping.head_rad == -back[0].ping.head_rad > 0
     np.testing.assert_array_equal(polar_image(there, device).image, polar_image(back, device).image)
 
 
@@ -134,7 +138,7 @@ def test_side_scan_hears_the_seabed_from_below_outwards_on_both_sides() -> None:
     rock = trimesh.creation.box((4.0, 2.0, 2.0))
     rock.apply_translation((0.0, 20.0, -9.0))
     scene = Scene((Body("floor", floor), Body("rock", rock)))
-    sonar = Sonar(sonar_preset("sidescan"), image=QUIET)
+    sonar = Sonar(named_device("sidescan"), image=QUIET)
 
     def line(x_m: float) -> Float64:
         pose = Pose(x_m, 0.0, 0.0)
@@ -154,9 +158,9 @@ def test_side_scan_hears_the_seabed_from_below_outwards_on_both_sides() -> None:
 def test_soundings_lie_on_the_seabed() -> None:
     floor = trimesh.creation.box((200.0, 200.0, 1.0))
     floor.apply_translation((0.0, 0.0, -10.5))
-    sonar = Sonar(sonar_preset("profiler"), image=QUIET)
+    sonar = Sonar(named_device("profiler"), image=QUIET)
     pose = Pose(3.0, 2.0, 0.0, yaw_rad=0.7)
-    points = soundings(sonar.ping(Scene((Body("floor", floor),)), pose), pose, 0.05)
+    points = soundings(PosedPing(sonar.ping(Scene((Body("floor", floor),)), pose), pose), 0.05)
     assert len(points) > 200
     assert np.abs(points[:, 2] + 10.0).max() < 0.2
     across = (points[:, :2] - (3.0, 2.0)) @ (math.cos(0.7), math.sin(0.7))

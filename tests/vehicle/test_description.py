@@ -9,7 +9,7 @@ import pytest
 
 from insonify.errors import ConfigError
 from insonify.vehicle.description import vehicle_named, vehicles
-from insonify.vehicle.dynamics import hydro
+from insonify.vehicle.model import hydro
 
 DOCS = Path(__file__).resolve().parents[2] / "docs/vehicle.md"
 OWN = """
@@ -60,7 +60,7 @@ def test_a_users_own_file(tmp_path: Path) -> None:
         (("mass_kg = 50", "mass_kg = -1"), ["mass_kg", "greater than 0", "-1"]),
         (("mass_kg = 50", "mass_kg = nan"), ["mass_kg", "nan"]),
         (("mass_kg = 50", "weight = 1"), ["mass_kg", "required"]),
-        (("mass_kg = 50", "mass_kg = 50\nbeam = 3"), ["beam", "not permitted"]),
+        (("mass_kg = 50", "mass_kg = 50\nbeam = 3"), ["beam", "there is no setting"]),
         (("[3.0, 4.0, 4.0]", "[1.0, 4.0, 9.0]"), ["inertia", "sum of the other two"]),
         (("[10, 20, 30, 1, 1, 1]", "[10, 20]"), ["added_mass"]),
         (("[0.1, 0.2, 0.0], max_n = 30", "[0.1, 0.2, 0.0], max_n = 0"), ["thrusters.0.max_n"]),

@@ -15,13 +15,12 @@ import pytest
 
 from insonify.io.trajectories import COLUMNS, save_track
 from insonify.mapping.voxels import BLOCK, VoxelMap
-from insonify.planning.decision import StopReason
-from insonify.runs import Run, execute
-from insonify.scenarios import scenario_config
-from insonify.types import FanGeometry, Ping, Pose, ScanPath
+from insonify.mission.run import Run, execute
+from insonify.mission.setup import scenario_config
+from insonify.types import FanGeometry, Ping, Pose, PosedPing, ScanPath, StopReason
 from insonify.vehicle.description import vehicle_named
 from insonify.vehicle.settings import VehicleSettings
-from insonify.vehicle.voyage import Voyage
+from insonify.vehicle.voyage import Surroundings, Voyage
 
 SMALL: dict[str, Any] = {
     "mapping": {"voxel_m": 0.25},
@@ -39,7 +38,7 @@ def _fly(**vehicle: Any) -> Run:
 def test_a_flown_scan_maps_by_its_estimate_and_is_scored_against_the_truth(tmp_path: Path) -> None:
     run = _fly()
     assert run.stop_reason is StopReason.PLAN_FLOWN
-    result = run.result()
+    result = run.result().to_json()
     flown = result["vehicle"]
     assert 20 < run.pings < 40
     assert 0.005 < flown["pose_error"]["position_max_m"] < 0.3
@@ -68,7 +67,7 @@ def test_perfect_navigation_costs_nothing_and_the_same_config_gives_the_same_run
     results = []
     for _ in range(2):
         run = _fly(navigation="truth")
-        results.append(run.result() | {"seconds": 0})
+        results.append(run.result().to_json() | {"seconds": 0})
         assert run.flight is not None
         same = run.flight.reference.voxels.log_odds.tobytes()
         assert same == run.mapper.voxels.log_odds.tobytes()
@@ -108,9 +107,11 @@ def _voyage(
         vehicle_named("bluerov2"),
         VehicleSettings.model_validate(chosen),
         0.4,
-        lambda true, believed: Ping(np.zeros((8, 4), np.float32), geometry),
-        lambda origin, rays: (np.full(4, 5.0), np.ones(4)),
-        collides,
+        Surroundings(
+            lambda true, believed: Ping(np.zeros((8, 4), np.float32), geometry),
+            lambda origin, rays: (np.full(4, 5.0), np.ones(4)),
+            collides,
+        ),
         np.random.default_rng(0),
     )
     return voyage, list(voyage.carry(path, voxels))
@@ -129,15 +130,15 @@ LINE = ScanPath(tuple(Pose(float(x), 0.25, -6.0) for x in range(9)))
 
 
 def test_pings_come_at_their_own_rate_with_the_time_they_were_sent() -> None:
-    _, soundings = _voyage(VoxelMap(0.5), LINE, ping_hz=4.0)
-    times = [sounding[1].time_s for sounding in soundings]  # type: ignore[index]
+    _, pings = _voyage(VoxelMap(0.5), LINE, ping_hz=4.0)
+    times = [one.ping.time_s for one in pings if isinstance(one, PosedPing)]
     np.testing.assert_allclose(np.diff(times)[1:], 0.25, atol=1e-9)
     assert 8.0 / 0.5 * 4 < len(times) < 8.0 / 0.5 * 4 + 40
 
 
 def test_a_mapped_obstacle_is_flown_round() -> None:
-    voyage, soundings = _voyage(_post(8, 0), LINE)  # at (4.25, 0.25)
-    assert not isinstance(soundings[-1], StopReason)
+    voyage, pings = _voyage(_post(8, 0), LINE)  # at (4.25, 0.25)
+    assert not isinstance(pings[-1], StopReason)
     assert voyage.craft is not None
     nearest = min(
         math.dist(moment.true.position_m[:2], (4.25, 0.25)) for moment in voyage.craft.track.moments
@@ -159,35 +160,37 @@ def test_an_obstacle_that_is_mapped_on_the_way_is_flown_round_too() -> None:
 
     settings = VehicleSettings(name="bluerov2", navigation="truth")
     voyage = Voyage(
-        vehicle_named("bluerov2"), settings, 0.4, see,
-        lambda origin, rays: (np.full(4, 5.0), np.ones(4)),
-        lambda pose: False, np.random.default_rng(0),
-    )  # fmt: skip
-    soundings = list(voyage.carry(LINE, voxels))
-    assert not isinstance(soundings[-1], StopReason)
+        vehicle_named("bluerov2"),
+        settings,
+        0.4,
+        Surroundings(see, lambda origin, rays: (np.full(4, 5.0), np.ones(4)), lambda pose: False),
+        np.random.default_rng(0),
+    )
+    pings = list(voyage.carry(LINE, voxels))
+    assert not isinstance(pings[-1], StopReason)
     assert voyage.craft is not None
     tracks = [moment.true.position_m[:2] for moment in voyage.craft.track.moments]
     assert min(math.dist(place, (5.25, 0.25)) for place in tracks) > 0.45
 
 
 def test_flying_into_what_the_map_does_not_know_ends_the_scan() -> None:
-    voyage, soundings = _voyage(VoxelMap(0.5), LINE, lambda pose: pose.x_m > 4.0)
-    assert len(soundings) > 5 and soundings[-1] is StopReason.COLLISION
+    voyage, pings = _voyage(VoxelMap(0.5), LINE, lambda pose: pose.x_m > 4.0)
+    assert len(pings) > 5 and pings[-1] is StopReason.COLLISION
     assert voyage.craft is not None
     assert 4.0 < voyage.craft.true_pose.x_m < 4.3
 
 
 def test_a_scan_that_begins_inside_an_obstacle_has_no_way() -> None:
-    _, soundings = _voyage(_post(0, 0), ScanPath((Pose(0.25, 0.25, -6.0),)))
-    assert soundings == [StopReason.NO_WAY]
+    _, pings = _voyage(_post(0, 0), ScanPath((Pose(0.25, 0.25, -6.0),)))
+    assert pings == [StopReason.NO_WAY]
 
 
 def test_a_current_too_strong_ends_the_scan_with_its_reason() -> None:
     current = {"velocity_m_s": (-2.5, 0.0, 0.0)}
-    _, soundings = _voyage(VoxelMap(0.5), LINE, current=current, ping_hz=0.2)
-    assert soundings[-1] is StopReason.TOO_SLOW
+    _, pings = _voyage(VoxelMap(0.5), LINE, current=current, ping_hz=0.2)
+    assert pings[-1] is StopReason.TOO_SLOW
 
 
 def test_a_scan_of_a_single_waypoint_pings_once_at_least() -> None:
-    _, soundings = _voyage(VoxelMap(0.5), ScanPath(LINE.waypoints[:1]))
-    assert len(soundings) >= 1 and not isinstance(soundings[-1], StopReason)
+    _, pings = _voyage(VoxelMap(0.5), ScanPath(LINE.waypoints[:1]))
+    assert len(pings) >= 1 and not isinstance(pings[-1], StopReason)

@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 from insonify.errors import MissingExtraError, OutputError
-from insonify.types import Array
+from insonify.types import Array, StopReason
 from insonify.view.page import Page
 from insonify.view.story import Story
 
@@ -108,7 +108,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         assert said["pings"] == result["pings"]
         browser.get(said["url"])
         _until(lambda: f"ping {said['pings']} of {said['pings']}" in _text(browser))
-        assert result["stop_reason"] in _text(browser)
+        assert StopReason(result["stop_reason"]).sentence in _text(browser)
         picture = browser.find_element("css selector", "img[alt='sonar image']")
         last = picture.get_attribute("src")
         _until(lambda: picture.get_property("naturalWidth") == 560)
@@ -118,7 +118,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         slider = browser.find_element("css selector", "[role=slider]")
         slider.send_keys(*[Keys.ARROW_LEFT] * 6)
         _until(lambda: f"ping {said['pings'] - 6} of {said['pings']}" in _text(browser))
-        assert result["stop_reason"] not in _text(browser)
+        assert StopReason(result["stop_reason"]).sentence not in _text(browser)
         source = "return document.querySelector(\"img[alt='sonar image']\").src"
         _until(lambda: browser.execute_script(source) != last)
         before = _changes(browser, before)

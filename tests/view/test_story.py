@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,12 +17,12 @@ from insonify.cli import app
 from insonify.errors import InsonifyError
 from insonify.io.maps import load_map, save_map
 from insonify.io.recordings.arrays import save_arrays
-from insonify.io.recordings.recording import Reading, RecordedPing
-from insonify.mapping.bayes import MappingSettings
+from insonify.io.recordings.recording import Reading
+from insonify.mapping.mapper import MappingSettings
+from insonify.mission.run import Run, execute
+from insonify.mission.setup import scenario_config
 from insonify.planning.decision import Decision
-from insonify.runs import Run, execute
-from insonify.scenarios import scenario_config
-from insonify.types import FanGeometry, Ping, Pose
+from insonify.types import FanGeometry, Ping, Pose, PosedPing
 from insonify.view import shapes
 from insonify.view.cubes import occupied_cubes
 from insonify.view.sources import open_story
@@ -64,12 +65,19 @@ def test_thinned_keeps_every_nth_and_the_last(count: int, size: int, limit: int)
     assert kept.at(0) is None
 
 
+def _story(*given: Any) -> Story:
+    """A story told to its end."""
+    told = open_story(*given)
+    told.go_on(lambda done, count: None, lambda: False)
+    return told.story
+
+
 def test_a_story_told_live_is_the_run(run: tuple[Run, Story]) -> None:
     done, story = run
     assert len(story.moments) == done.pings
     flown = [pose for path in done.paths for pose in path.waypoints]
     assert [moment.pose for moment in story.moments] == flown
-    assert story.end == done.stop_reason.value
+    assert story.end == done.stop_reason.sentence
     assert {solid.name for solid in story.world} == set(done.world.scene.labels)
     found = story.maps.at(len(story.moments))
     assert found is not None and found[0] == done.pings
@@ -79,7 +87,7 @@ def test_a_story_told_live_is_the_run(run: tuple[Run, Story]) -> None:
 
 
 def test_a_run_s_folder_tells_the_same_story(run_folder: Path, run: tuple[Run, Story]) -> None:
-    live, told = run[1], open_story(run_folder, Reading(), MAPPING)
+    live, told = run[1], _story(run_folder, Reading(), MAPPING)
     assert [m.pose for m in told.moments] == [m.pose for m in live.moments]
     assert [m.scan for m in told.moments] == [m.scan for m in live.moments]
     assert told.end == live.end
@@ -102,8 +110,8 @@ def _same_decisions(ours: list[tuple[int, Decision]], theirs: list[tuple[int, De
 
 
 def test_a_run_that_was_broken_off_ends_where_it_was(run_folder: Path, tmp_path: Path) -> None:
-    from insonify.io.recordings.mcap_writing import McapWriter
-    from insonify.io.recordings.scans import ScanRecorder
+    from insonify.io.recordings.ros.mcap_writing import McapWriter
+    from insonify.results.recorder import ScanRecorder
 
     count = 11
     shutil.copy(run_folder / "config.toml", tmp_path)
@@ -115,11 +123,11 @@ def test_a_run_that_was_broken_off_ends_where_it_was(run_folder: Path, tmp_path:
             should_stop=iter([False] * (count - 1) + [True]).__next__,
         )
     assert done.pings == count
-    story = open_story(tmp_path, Reading(), MAPPING)
+    story = _story(tmp_path, Reading(), MAPPING)
     assert len(story.moments) == count
     found = story.maps.at(count)
     assert found is not None and found[0] == count
-    there, _ = occupied_cubes(done.mapper.voxels, done.world.area.region)
+    there, _ = occupied_cubes(done.mapper.voxels, done.mapper.voxels.around_occupied())
     np.testing.assert_array_equal(found[1].occupied.index, there.index)
 
 
@@ -128,7 +136,7 @@ def test_a_vehicle_s_story_knows_where_it_really_was(tmp_path: Path) -> None:
         tmp_path / "run", "--vehicle", "bluerov2", "--navigation", "dvl", "--planner", "uniform",
         "--set", "survey.baseline_scans=2",
     )  # fmt: skip
-    story = open_story(folder, Reading(), MAPPING)
+    story = _story(folder, Reading(), MAPPING)
     off = [
         math.dist(m.pose.position_m, m.true_pose.position_m)
         for m in story.moments
@@ -139,7 +147,7 @@ def test_a_vehicle_s_story_knows_where_it_really_was(tmp_path: Path) -> None:
 
 
 def test_recordings_and_maps(run_folder: Path, tmp_path: Path) -> None:
-    recorded = open_story(run_folder / "recording.mcap", Reading(), MAPPING)
+    recorded = _story(run_folder / "recording.mcap", Reading(), MAPPING)
     voxels = load_map(run_folder)
     found = recorded.maps.at(len(recorded.moments))
     assert found is not None
@@ -147,7 +155,7 @@ def test_recordings_and_maps(run_folder: Path, tmp_path: Path) -> None:
     assert recorded.decisions == [] and recorded.world == ()
     for name in ("m.npz", "m.bt", "m.zarr"):
         save_map(voxels, tmp_path / name)
-        alone = open_story(tmp_path / name, Reading(), MAPPING)
+        alone = _story(tmp_path / name, Reading(), MAPPING)
         picture = alone.maps.at(0)
         assert alone.moments == [] and picture is not None
         assert picture[1].occupied.count == (voxels.log_odds > 0).sum()
@@ -157,8 +165,8 @@ def test_a_recording_without_poses_is_its_images(tmp_path: Path) -> None:
     fan = FanGeometry(1.0, 0.2, 6, 8, 0.1, 2.0)
     rng = np.random.default_rng(1)
     pings = [Ping(rng.random((8, 6), np.float32), fan, float(k)) for k in range(3)]
-    save_arrays(tmp_path / "r.npz", [RecordedPing(ping) for ping in pings])
-    story = open_story(tmp_path / "r.npz", Reading(), MAPPING)
+    save_arrays(tmp_path / "r.npz", [PosedPing(ping) for ping in pings])
+    story = _story(tmp_path / "r.npz", Reading(), MAPPING)
     assert [m.pose for m in story.moments] == [None] * 3
     image = story.images.at(2)
     assert image is not None
@@ -168,11 +176,11 @@ def test_a_recording_without_poses_is_its_images(tmp_path: Path) -> None:
 
 def test_what_cannot_be_shown_is_said(run_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InsonifyError, match="no such recording"):
-        open_story(tmp_path / "none", Reading(), MAPPING)
+        _story(tmp_path / "none", Reading(), MAPPING)
     shutil.copytree(run_folder, tmp_path / "cut")
     (tmp_path / "cut/recording.mcap").write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(InsonifyError, match=r"recording\.mcap: there are no pings in it"):
-        open_story(tmp_path / "cut", Reading(), MAPPING)
+    with pytest.raises(InsonifyError, match=r"recording\.mcap: damaged or cut off"):
+        _story(tmp_path / "cut", Reading(), MAPPING)
 
 
 def test_the_edges_of_a_fan_lie_on_its_limits() -> None:

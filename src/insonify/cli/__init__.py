@@ -13,35 +13,44 @@ from typing import Annotated, Any, TextIO, cast
 
 import typer
 
+from insonify.cli.progress import announce_compiling
 from insonify.cli.root import EXIT_BAD_INPUT, EXIT_INTERRUPTED, Interrupted, app
 from insonify.errors import InsonifyError
 
 # isort: off
 # --help lists the commands in this order
 from insonify.cli import scans
+from insonify.cli import comparisons
 from insonify.cli import recordings
 from insonify.cli import views
+from insonify.cli import reports
 from insonify.cli import plans
 from insonify.cli import simulation
 from insonify.cli import tours
 from insonify.cli import datasets
 from insonify.cli import exports
 from insonify.cli import listings
+from insonify.cli import configs
+from insonify.cli import warming
 
 # isort: on
 
 __all__ = [
     "app",
+    "comparisons",
+    "configs",
     "datasets",
     "exports",
     "listings",
     "main",
     "plans",
     "recordings",
+    "reports",
     "scans",
     "simulation",
     "tours",
     "views",
+    "warming",
 ]
 
 
@@ -89,6 +98,7 @@ def main() -> None:
     """Run the command line; bad input is one sentence and exit code 2."""
     signal.signal(signal.SIGINT, _interrupt)
     warnings.showwarning = _show_warning
+    announce_compiling()
     if len(sys.argv) == 1:
         app()  # shows the help
     try:

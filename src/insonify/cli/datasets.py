@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -22,17 +21,18 @@ from insonify.cli.root import (
     RendererOption,
     SearchOption,
     SetOption,
+    absolute,
     app,
     choices,
     interruptible,
     print_listing,
-    stderr,
     world_and_layers,
+    world_table,
 )
 from insonify.errors import MemoryLimitError, OutputError
 
 if TYPE_CHECKING:
-    from insonify.datasets import Dataset
+    from insonify.mission.result import DatasetResult
 
 
 @app.command()
@@ -57,19 +57,18 @@ def dataset(
     as_json: JsonOption = False,
 ) -> None:
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
-    from insonify.datasets import dataset_config
-    from insonify.io.configs import dataset_to_toml
-    from insonify.io.datasets import DONE, all_cores, write_dataset
+    from insonify.config.toml import config_to_toml
+    from insonify.imaging.dataset import dataset_config
     from insonify.io.folders import result_folder, unused_folder
-    from insonify.io.unfinished import OWNER, claim, find_unfinished
-    from insonify.scene.materials import read_materials
+    from insonify.results.dataset import DONE, all_cores, write_dataset
+    from insonify.results.scratch import OWNER, claim, find_unfinished
 
-    device = {"preset": sonar} if sonar else None
-    chosen = choices(sonar=device, model=model, renderer=renderer, seed=seed, count=count)
+    chosen = choices(
+        sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count
+    ) | world_table(search, materials)
     full = dataset_config(*world_and_layers(world, config, settings, chosen))
-    table = read_materials(materials) if materials else None
-    folder = out or unused_folder(Path("insonify-runs") / f"{Path(full.world).stem}-dataset")
-    text = dataset_to_toml(full) + _beside(search, materials)
+    folder = out or unused_folder(Path("insonify-runs") / f"{full.world_name}-dataset")
+    text = config_to_toml(full, "dataset") + _contents(full.materials)
     before = find_unfinished(folder, text, DONE)
     with (
         result_folder(folder, force=force) as place,
@@ -79,48 +78,39 @@ def dataset(
             before.replace(place.scratch)
         claim(place.scratch, text)
         try:
-            with _progress(full) as watch:
-                seen = write_dataset(
+            with progress("views", full.count) as bar:
+                result = write_dataset(
                     full,
                     place.scratch,
                     workers=workers or all_cores(),
-                    search=tuple(search or ()),
-                    materials=table,
-                    watch=watch,
+                    watch=lambda done: bar.show(done, note=f"{done} of {full.count}"),
                     should_stop=interrupted,
                 )
         except (OSError, OutputError, MemoryLimitError):
             _keep(place.scratch, full.count)
             raise
-        if seen is None:
+        if result is None:
             _keep(place.scratch, full.count)
             raise typer.Exit(EXIT_INTERRUPTED)
         (place.scratch / OWNER).unlink()
-    result = {
-        "world": full.world,
-        "sonar": full.sonar.name,
-        "seed": full.seed,
-        "views": full.count,
-        "categories": seen,
-    }
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result.to_json(), indent=2))
     else:
         _print_result(result)
     print(f"Dataset: {place.target}", file=sys.stderr)
 
 
-def _beside(search: list[Path] | None, materials: Path | None) -> str:
-    """What a dataset depends on that is no setting, as comments below its settings."""
-    lines = [f"models looked for in {folder}" for folder in search or ()]
-    if materials is not None:
-        lines += ["materials:", *materials.read_text(encoding="utf-8").splitlines()]
+def _contents(materials: str) -> str:
+    """The table of materials as comments, so that another one makes another dataset."""
+    if not materials:
+        return ""
+    lines = Path(materials).read_text(encoding="utf-8").splitlines()
     return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
 def _keep(scratch: Path, count: int) -> None:
     """Leave what is whole for the same command to go on with."""
-    from insonify.io.datasets import DONE
+    from insonify.results.dataset import DONE
 
     kept = scratch.with_name(f"{scratch.name}-kept")
     scratch.replace(kept)
@@ -131,31 +121,10 @@ def _keep(scratch: Path, count: int) -> None:
     )
 
 
-@contextmanager
-def _progress(config: Dataset) -> Iterator[Callable[[int], None]]:
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    console = stderr()
-    with Progress(
-        *columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console, transient=True,
-        disable=not console.is_terminal,
-    ) as bar:  # fmt: skip
-        task = bar.add_task("views", total=config.count)
-        yield lambda done: bar.update(task, completed=done)
-
-
-def _print_result(result: dict[str, Any]) -> None:
+def _print_result(result: DatasetResult) -> None:
     rows = [
         [name, str(entry["views"]), f"{entry['pixels']:,}"]
-        for name, entry in result["categories"].items()
+        for name, entry in result.categories.items()
     ]
-    print(f"{result['world']}: {result['views']} views with {result['sonar']}")
+    print(f"{result.world}: {result.views} views with {result.sonar}")
     print_listing(["category", "views", "pixels"], rows)

@@ -1,30 +1,24 @@
-"""What is known by name, and configs."""
+"""What is known by name."""
 
 from __future__ import annotations
 
 import json
 import textwrap
 
-from insonify.cli.root import (
-    ConfigOption,
-    JsonOption,
-    ScenarioArgument,
-    SetOption,
-    app,
-    configure,
-    print_listing,
-)
+from insonify.cli.root import JsonOption, app, print_listing
 
 
 @app.command()
 def scenarios(as_json: JsonOption = False) -> None:
     """List the named scenarios of scan, and those of simulate."""
-    from insonify.scenarios import scenarios as known
-    from insonify.simulation import simulations
+    from insonify.config.layers import named_tables
 
     rows = [
         {"name": name, "command": command, "title": table["title"]}
-        for command, tables in (("scan", known()), ("simulate", simulations()))
+        for command, tables in (
+            ("scan", named_tables("scenarios")),
+            ("simulate", named_tables("simulations")),
+        )
         for name, table in tables.items()
     ]
     if as_json:
@@ -79,20 +73,3 @@ def vehicles(as_json: JsonOption = False) -> None:
         for row in rows
     ]
     print_listing(["name", "mass, kg", "size, m", "thrusters", "source"], cells)
-
-
-@app.command("config")
-def show_config(
-    scenario: ScenarioArgument,
-    settings: SetOption = None,
-    config: ConfigOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Print the full config of a scenario; scan --config takes it back."""
-    from insonify.io.configs import config_to_toml
-
-    full = configure(scenario, config, settings, {})
-    if as_json:
-        print(json.dumps(full.model_dump(mode="json"), indent=2))
-    else:
-        print(config_to_toml(full), end="")

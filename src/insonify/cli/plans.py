@@ -22,9 +22,9 @@ from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
     from insonify.mapping.voxels import VoxelMap
+    from insonify.mission.setup import Config
     from insonify.planning.active import EntropySettings
     from insonify.planning.decision import Decision
-    from insonify.scenarios import Config
     from insonify.sonar.devices import SonarDevice
     from insonify.types import Box, Pose
 
@@ -65,19 +65,20 @@ def plan(
     """Plan the next scan path from a map: where it would resolve most of what is undecided."""
     from insonify.cli.recordings import box_from_text
     from insonify.io.folders import result_folder
-    from insonify.io.maps import load_map
     from insonify.io.plans import save_plan
-    from insonify.replay import clearance_m, plan_next
+    from insonify.planning.once import clearance_m, plan_next
+    from insonify.results.map import load_mapper
 
     pose = _pose(from_)
     place = datum_from_text(datum) if datum is not None else None
     entropy = _entropy(settings)
-    file = map_ / "map.npz" if map_.is_dir() else map_
-    voxels = load_map(file)
+    file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
+    mapper = load_mapper(map_)
+    voxels = mapper.voxels
     device = _device(file, sonar)
     box = box_from_text(region) if region is not None else _region(file, voxels)
     with result_folder(out, force=force) as folder:
-        decision = plan_next(voxels, device.geometry, box, pose, entropy, waypoints)
+        decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
         document = _describe(decision, pose, box)
         if decision.path is not None:
             document["clearance_m"] = round(clearance_m(voxels, pose, decision.path), 3)
@@ -114,32 +115,26 @@ def _pose(text: str) -> Pose:
 
 
 def _entropy(settings: list[str] | None) -> EntropySettings:
-    from pydantic import ValidationError
-
+    from insonify.config.layers import overlaid
+    from insonify.config.settings import validated
     from insonify.planning.active import EntropySettings
 
-    table: dict[str, Any] = {}
-    for layer in single_layers(settings):
-        inner = layer.get("entropy")
-        if not isinstance(inner, dict):
+    layers = single_layers(settings)
+    for layer in layers:
+        if set(layer) != {"entropy"} or not isinstance(layer["entropy"], dict):
             raise ConfigError(f"plan takes --set entropy.KEY=VALUE only, not {next(iter(layer))}")
-        table |= inner
-    try:
-        return EntropySettings.model_validate(table)
-    except ValidationError as err:
-        first = err.errors()[0]
-        key = ".".join(("entropy", *map(str, first["loc"])))
-        raise ConfigError(f"setting {key}: {first['msg'].lower()}") from err
+    table = overlaid(layers).get("entropy", {})
+    return validated(EntropySettings, table, prefix="entropy.")
 
 
 def _device(file: Path, name: str | None) -> SonarDevice:
     """The sonar named, or else the one that made the map, as its folder tells."""
-    from insonify.sonar.devices import named_device, read_device
+    from insonify.sonar.devices import named_device
 
     if name is not None:
         return named_device(name)
     if (file.parent / "sonar.toml").is_file():
-        return read_device(file.parent / "sonar.toml")
+        return named_device(str(file.parent / "sonar.toml"))
     config = _scan_config(file)
     if config is None:
         raise ConfigError(f"{file}: nothing beside it says what sonar will scan; name it (--sonar)")
@@ -147,35 +142,39 @@ def _device(file: Path, name: str | None) -> SonarDevice:
 
 
 def _region(file: Path, voxels: VoxelMap) -> Box:
-    """The region of the map's result, or of the scan that made it, or around what is occupied."""
-    from insonify.replay import around_occupied
-    from insonify.scenarios import World
+    """The region of the map's result, or around what is occupied."""
+    from insonify.errors import ResultError
+    from insonify.mission.result import MapResult, ScanResult
+    from insonify.results.files import load_result
     from insonify.types import Box
 
     try:
-        result = json.loads((file.parent / "result.json").read_text(encoding="utf-8"))
-        low, high = result["region_m"]
-        return Box.of(low, high)
-    except (OSError, ValueError, KeyError, TypeError):
-        config = _scan_config(file)
-    return around_occupied(voxels) if config is None else World(config).area.region
+        result = load_result(file.parent)
+    except ResultError:
+        return voxels.around_occupied()
+    if isinstance(result, MapResult | ScanResult) and result.region_m is not None:
+        return Box.of(*result.region_m)
+    return voxels.around_occupied()
 
 
 def _scan_config(file: Path) -> Config | None:
     """The config of the scan that made a map, if it lies beside it."""
-    from insonify.scenarios import read_config, scenario_config
+    from insonify.config.layers import read_layer
+    from insonify.mission.setup import scenario_config
 
     if not (file.parent / "config.toml").is_file():
         return None
-    table = read_config(file.parent / "config.toml")
-    return scenario_config(str(table.get("scenario", "")), [table])
+    table = read_layer(file.parent / "config.toml")
+    if "scenario" not in table:
+        return None
+    return scenario_config(str(table["scenario"]), [table])
 
 
 def _describe(decision: Decision, pose: Pose, region: Box) -> dict[str, Any]:
     document: dict[str, Any] = {
         "from": [*pose.position_m, round(math.degrees(pose.yaw_rad), 6)],
         "region_m": [list(region.low_m), list(region.high_m)],
-        "stop": decision.stop.value if decision.stop is not None else None,
+        "stop": decision.stop.sentence if decision.stop is not None else None,
     }
     look = decision.look
     if look is not None:

@@ -11,23 +11,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
+    ConfigOption,
     JsonOption,
+    MapperOption,
     SetOption,
+    absolute,
     app,
+    choices,
+    file_layers,
     interruptible,
     print_listing,
     single_layers,
-    stderr,
 )
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
-    from insonify.io.recordings.recording import Reading, RecordedPing, Recording
-    from insonify.mapping.bayes import MappingSettings
-    from insonify.replay import Replay, Watch
-    from insonify.types import Box
+    from insonify.io.recordings.recording import Reading, Recording
+    from insonify.mission.remap import Remap, Watch
+    from insonify.mission.result import MapResult
+    from insonify.results.map import MapConfig
+    from insonify.types import Box, PosedPing
 
 SonarOption = Annotated[
     str | None,
@@ -51,7 +57,10 @@ PoseTopicOption = Annotated[
     str | None, typer.Option("--pose-topic", metavar="TOPIC", help="Of a bag: the poses.")
 ]
 
-VoxelOption = Annotated[float, typer.Option(metavar="M", help="Edge length of a voxel.")]
+VoxelOption = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Edge length of a voxel; 0.1 by default.", show_default=False),
+]
 RegionOption = Annotated[
     str | None,
     typer.Option(
@@ -99,34 +108,44 @@ def map_(
         list[Path], typer.Argument(metavar="RECORDING...", help="Recordings: files or folders.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    mapper: MapperOption = None,
     sonar: SonarOption = None,
-    voxel: VoxelOption = 0.1,
+    voxel: VoxelOption = None,
     region: RegionOption = None,
     poses: PosesOption = None,
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
     pose_topic: PoseTopicOption = None,
     settings: SetOption = None,
+    config: ConfigOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build an occupancy map, its entropy and a report from recordings."""
     from insonify.io.folders import result_folder
     from insonify.io.recordings import open_recording
-    from insonify.replay import map_recordings
+    from insonify.mapping.factory import make_mapper
+    from insonify.mission.remap import map_recordings
+    from insonify.results.map import save_remap
 
-    mapping = mapping_settings(voxel, settings)
+    full = map_config(voxel, absolute(mapper), settings, config)
     box = box_from_text(region) if region is not None else None
     reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
         _say_what_is_assumed(recordings)
         with _progress() as watch:
-            replay = map_recordings(recordings, mapping, box, watch=watch, should_stop=interrupted)
-        _write_map(replay, place.scratch)
-    result = replay.result()
+            remap = map_recordings(
+                recordings,
+                full.mapping,
+                box,
+                mapper=make_mapper(full.mapper, full.mapping, full.mapper_options),
+                watch=watch,
+                should_stop=interrupted,
+            )
+        result = save_remap(remap, place.scratch, full)
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result.to_json(), indent=2))
     else:
         print_listing(["what", "value"], _result_rows(result))
     print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
@@ -135,27 +154,30 @@ def map_(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-def mapping_settings(voxel_m: float, settings: list[str] | None) -> MappingSettings:
-    """Mapping settings from --voxel and --set mapping.KEY=VALUE."""
-    from pydantic import ValidationError
+def map_config(
+    voxel_m: float | None,
+    mapper: str | None,
+    settings: list[str] | None,
+    config: Path | None = None,
+) -> MapConfig:
+    """How recordings are mapped: file, then --voxel and --mapper, then --set mapping.KEY=VALUE."""
+    from insonify.config.layers import overlaid
+    from insonify.config.settings import validated
+    from insonify.mapping.factory import check_mapper
+    from insonify.results.map import MapConfig
 
-    from insonify.mapping.bayes import MappingSettings
-
-    table: dict[str, Any] = {"voxel_m": voxel_m}
-    for layer in single_layers(settings):
-        inner = layer.get("mapping")
-        if not isinstance(inner, dict):
+    known = set(MapConfig.model_fields)
+    layers = file_layers(config)
+    from_file = [{key: value for key, value in layer.items() if key in known} for layer in layers]
+    chosen = choices(mapper=mapper, mapping=choices(voxel_m=voxel_m) or None)
+    single = single_layers(settings)
+    for layer in single:
+        if not set(layer) <= known or not all(isinstance(v, dict | str) for v in layer.values()):
             raise ConfigError(f"map takes --set mapping.KEY=VALUE only, not {next(iter(layer))}")
-        table |= inner
-    try:
-        return MappingSettings.model_validate(table)
-    except ValidationError as err:
-        first = err.errors()[0]
-        key = ".".join(("mapping", *map(str, first["loc"])))
-        raise ConfigError(
-            f"setting {key}: {first['msg'].lower()}, not {first.get('input')!r}; see "
-            "`insonify config tetrapod` for the mapping settings"
-        ) from err
+    see = "`insonify config tetrapod` for the mapping settings"
+    full = validated(MapConfig, overlaid([*from_file, chosen, *single]), see=see)
+    check_mapper(full.mapper, full.mapper_options)
+    return full
 
 
 def box_from_text(text: str) -> Box:
@@ -188,69 +210,31 @@ def _say_what_is_assumed(recordings: list[Recording]) -> None:
             )
 
 
-def _write_map(replay: Replay, folder: Path) -> None:
-    import numpy as np
-
-    from insonify.io.configs import settings_to_toml
-    from insonify.io.maps import save_map, save_point_cloud
-    from insonify.planning.active import EntropySettings
-    from insonify.planning.entropy import entropy_map
-    from insonify.report.map_html import write_map_report
-    from insonify.sonar.devices import device_of
-
-    voxels = replay.mapper.voxels
-    text = json.dumps(replay.result(), indent=2) + "\n"
-    (folder / "result.json").write_text(text, encoding="utf-8")
-    save_map(voxels, folder / "map.npz")
-    save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, replay.region)
-    window = voxels.window(replay.region)
-    low_m = np.array(window.first) * window.voxel_m
-    np.savez_compressed(
-        folder / "entropy.npz",
-        entropy_bits=entropy_map(window),
-        seen=window.seen,
-        low_m=low_m,
-        voxel_m=window.voxel_m,
-    )
-    device = device_of(replay.fans[0], "recorded")
-    (folder / "sonar.toml").write_text(settings_to_toml(device), encoding="utf-8")
-    write_map_report(replay, folder / "report.html")
-
-
 @contextmanager
 def _progress() -> Iterator[Watch]:
-    """A progress bar on stderr over the pings of one recording after another."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    """A progress bar over the pings of one recording after another."""
+    with progress("opening") as bar:
 
-    console = stderr()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("opening", total=None)
-
-        def watch(
-            replay: Replay, recording: Recording, number: int, recorded: RecordedPing
-        ) -> None:
-            name = recording.path.name
-            bar.update(task, completed=number, total=recording.count, description=name)
+        def watch(remap: Remap, recording: Recording, number: int, posed: PosedPing) -> None:
+            note = f"{number} of {recording.count}"
+            bar.show(number, recording.count, recording.path.name, note)
 
         yield watch
 
 
-def _result_rows(result: dict[str, Any]) -> list[list[str]]:
-    low, high = ([f"{c:.2f}" for c in corner] for corner in result["region_m"])
-    region = result["region"]
+def _result_rows(result: MapResult) -> list[list[str]]:
+    low, high = ([f"{c:.2f}" for c in corner] for corner in result.region_m)
+    region = result.region
     share = region["in_view"] / max(1, region["voxels"])
     return [
         *([source["file"], f"{source['mapped']} of {source['pings']} pings"]
-          for source in result["recordings"]),
-        ["voxel, m", f"{result['mapping']['voxel_m']:g}"],
-        ["occupied voxels", str(result["occupied_voxels"])],
+          for source in result.recordings),
+        ["voxel, m", f"{result.mapping['voxel_m']:g}"],
+        ["occupied voxels", str(result.occupied_voxels)],
         ["region, m", f"({', '.join(low)}) to ({', '.join(high)})"],
-        ["  in view", f"{share:.1%} of {region['voxels']} voxels"],
+        ["  in view", f"{share:.1%} of {region['voxels']:.0f} voxels"],
         ["  entropy, bits", f"{region['entropy_bits']:.0f}"],
-        ["seconds", f"{sum(result['seconds'].values()):.2f}"],
+        ["seconds", f"{sum(result.seconds.values()):.2f}"],
     ]  # fmt: skip
 
 

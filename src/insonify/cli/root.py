@@ -14,10 +14,9 @@ import typer
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from insonify.config.settings import Table
     from insonify.io.datum import Datum
-    from insonify.scenarios import Config, Table
+    from insonify.mission.setup import Config
 
 EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
 
@@ -42,6 +41,20 @@ OutOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder for the results.")
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace results in DIR.")]
+PlannerOption = Annotated[
+    str | None,
+    typer.Option(
+        "--planner",
+        metavar="NAME",
+        help="entropy, uniform, lawnmower; or your own: module:Name or file.py:Name.",
+    ),
+]
+MapperOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mapper", metavar="NAME", help="bayes; or your own: module:Name or file.py:Name."
+    ),
+]
 RendererOption = Annotated[
     str | None, typer.Option("--renderer", help="embree or opengl.", show_default=False)
 ]
@@ -65,11 +78,11 @@ def choices(**given: Any) -> Table:
     return {key: value for key, value in given.items() if value is not None}
 
 
-def absolute_world(world: str | None) -> str | None:
-    """A world's file by its whole path, so that the saved config runs from any folder."""
-    if world is not None and Path(world).suffix and Path(world).is_file():
-        return str(Path(world).absolute())
-    return world
+def absolute(name: str | None) -> str | None:
+    """A file that was named by its whole path, so that the saved config runs from any folder."""
+    from insonify.config.layers import absolute as whole
+
+    return None if name is None else whole(name)
 
 
 def world_and_layers(
@@ -87,19 +100,25 @@ def world_and_layers(
                 "name a world (a file, or tank, grid, structures), or give a --config"
             )
         world = str(from_file[0]["world"])
-    return absolute_world(world) or world, [*from_file, chosen, *single_layers(settings)]
+    return absolute(world) or world, [*from_file, chosen, *single_layers(settings)]
+
+
+def world_table(search: list[Path] | None, materials: Path | None) -> Table:
+    """Where a world's models and materials are, as settings that hold from any folder."""
+    folders = [str(folder.absolute()) for folder in search or ()] or None
+    return choices(search=folders, materials=str(materials.absolute()) if materials else None)
 
 
 def file_layers(config: Path | None) -> list[Table]:
     """The settings of a config file, if one is given."""
-    from insonify.scenarios import read_config
+    from insonify.config.layers import read_layer
 
-    return [read_config(config)] if config else []
+    return [read_layer(config)] if config else []
 
 
 def single_layers(settings: list[str] | None) -> list[Table]:
     """The settings given one by one, each a layer."""
-    from insonify.scenarios import parse_setting
+    from insonify.config.layers import parse_setting
 
     return [parse_setting(text) for text in settings or []]
 
@@ -108,7 +127,7 @@ def configure(
     scenario: str | None, config: Path | None, settings: list[str] | None, chosen: Table
 ) -> Config:
     """The config of a command: scenario, then file, then options, then single settings."""
-    from insonify.scenarios import scenario_config
+    from insonify.mission.setup import scenario_config
 
     from_file, single = file_layers(config), single_layers(settings)
     if scenario is None:
@@ -157,13 +176,6 @@ def datum_from_text(text: str) -> Datum:
             f"'41.5 -71.3 0', not {text!r}"
         )
     return Datum(*numbers)
-
-
-def stderr() -> Console:
-    """Where messages and progress go."""
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 def print_listing(head: list[str], rows: list[list[str]]) -> None:

@@ -1,34 +1,33 @@
-"""Scanning and comparing planners."""
+"""Scanning an object."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
     ForceOption,
     JsonOption,
+    MapperOption,
     OutOption,
+    PlannerOption,
     RendererOption,
     SetOption,
+    absolute,
     app,
     choices,
     configure,
-    file_layers,
     interruptible,
-    single_layers,
-    stderr,
 )
 from insonify.cli.vehicles import (
     CurrentOption,
@@ -36,16 +35,16 @@ from insonify.cli.vehicles import (
     RealTimeOption,
     VehicleOption,
     check_vehicle,
-    print_navigation,
     vehicle_table,
     wall_clock,
 )
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
-    from insonify.mission import Step
-    from insonify.runs import Run
-    from insonify.scenarios import Table
+    from insonify.config.settings import Table
+    from insonify.mission.loop import Step
+    from insonify.mission.result import ScanResult
+    from insonify.mission.run import Run
 
 
 @app.command()
@@ -53,9 +52,8 @@ def scan(
     scenario: Annotated[
         str | None, typer.Argument(help="Name of a scenario; see: scenarios")
     ] = None,
-    planner: Annotated[
-        str | None, typer.Option(help="entropy, uniform or lawnmower.", show_default=False)
-    ] = None,
+    planner: PlannerOption = None,
+    mapper: MapperOption = None,
     object_: Annotated[
         Path | None, typer.Option("--object", metavar="MESH", help="Scan this mesh file instead.")
     ] = None,
@@ -77,32 +75,38 @@ def scan(
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
     from insonify.cli.views import live_page, serve
-    from insonify.io.configs import config_to_toml
+    from insonify.config.toml import config_to_toml
     from insonify.io.folders import result_folder, unused_folder
-    from insonify.io.recordings.remembering import RECORDING, remembered
-    from insonify.io.recordings.scans import recording
-    from insonify.io.unfinished import OWNER, claim, find_unfinished
-    from insonify.runs import execute
+    from insonify.mission.run import execute
+    from insonify.results.recorder import RECORDING, recording
+    from insonify.results.resume import remembered
+    from insonify.results.scan import save_scan
+    from insonify.results.scratch import OWNER, claim, find_unfinished
 
-    table = _mesh_table(object_)
-    flown = vehicle_table(vehicle, current, navigation)
     chosen = choices(
-        planner=planner, seed=seed, sonar=sonar, renderer=renderer, object=table, vehicle=flown
+        planner=absolute(planner),
+        mapper=absolute(mapper),
+        seed=seed,
+        sonar=absolute(sonar),
+        renderer=renderer,
+        object=_mesh_table(object_),
+        vehicle=vehicle_table(vehicle, current, navigation),
     )
     full = configure(scenario, config, settings, chosen)
     check_vehicle(full, current=current, navigation=navigation, real_time=real_time)
     pace = wall_clock() if real_time else lambda time_s: None
-    name = f"{full.scenario}-{full.planner}-seed{full.seed}"
+    name = f"{full.scenario}-{_short(full.planner)}-seed{full.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
-    before = find_unfinished(folder, config_to_toml(full), RECORDING)
+    text = config_to_toml(full, "scan")
+    before = find_unfinished(folder, text, RECORDING)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        claim(place.scratch, config_to_toml(full))
+        claim(place.scratch, text)
         known, past = remembered(before) if before is not None else (0, iter(()))
         if known:
             print(f"insonify: going on after the {known} pings of a scan that was broken off",
                   file=sys.stderr)  # fmt: skip
         page = live_page(name) if live else None
-        with _progress() as show, recording(place.scratch) as record:
+        with shown_run() as show, recording(place.scratch) as record:
             run = execute(
                 full,
                 remembered=past,
@@ -110,15 +114,14 @@ def scan(
                 should_stop=interrupted,
                 pace=pace,
             )
-        _write_results(run, place.scratch)
+        result = save_scan(run, place.scratch)
         (place.scratch / OWNER).unlink()
     if before is not None:
         shutil.rmtree(before, ignore_errors=True)
-    result = run.result()
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result.to_json(), indent=2))
     else:
-        _print_result(result)
+        print_result(result)
     print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
     if interrupted():
         print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
@@ -128,59 +131,9 @@ def scan(
         serve(page)
 
 
-@app.command()
-def compare(
-    names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
-    seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
-    vehicle: VehicleOption = None,
-    current: CurrentOption = None,
-    settings: SetOption = None,
-    config: ConfigOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Compare the planners over seeds, beside the paper's Tables 2 and 3.
-
-    With a vehicle: compare maps made by its own navigation with those of perfect navigation.
-    """
-    from insonify.comparison import compare as compare_planners
-    from insonify.comparison import compare_navigation, summarise, summarise_navigation
-
-    flown = vehicle_table(vehicle, current)
-    if vehicle is None and current is not None:
-        raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
-    runs, summary = (
-        (compare_planners, summarise)
-        if vehicle is None
-        else (compare_navigation, summarise_navigation)
-    )
-    with interruptible() as interrupted, _progress() as watch:
-        layers = [*file_layers(config), choices(vehicle=flown), *_compared(settings, vehicle)]
-        rows = runs(names, seeds, layers, watch=watch, should_stop=interrupted)
-    table = summary(rows)
-    if not rows:
-        print("insonify: interrupted before the first run was complete", file=sys.stderr)
-        raise typer.Exit(EXIT_INTERRUPTED)
-    if as_json:
-        print(json.dumps({"runs": rows, "table": table}, indent=2))
-    elif vehicle is None:
-        _print_comparison(table)
-    else:
-        print_navigation(table)
-    if interrupted():
-        print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
-        raise typer.Exit(EXIT_INTERRUPTED)
-
-
-def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
-    """Single settings of a comparison, which chooses planners or navigation, and seeds, itself."""
-    layers = single_layers(settings)
-    for layer in layers:
-        if "seed" in layer or ("planner" in layer and vehicle is None):
-            key = "seed" if "seed" in layer else "planner"
-            raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
-        if "navigation" in layer.get("vehicle", {}) and vehicle is not None:
-            raise ConfigError("compare runs both navigations; leave --set vehicle.navigation out")
-    return layers
+def _short(planner: str) -> str:
+    """The name of a planner as a part of a folder's name."""
+    return planner.rpartition(":")[2]
 
 
 def _mesh_table(mesh: Path | None) -> Table | None:
@@ -190,24 +143,6 @@ def _mesh_table(mesh: Path | None) -> Table | None:
     if not mesh.name:
         raise ConfigError(f"--object takes a mesh file, not {str(mesh)!r}")
     return {"mesh": str(mesh.absolute())}
-
-
-def _write_results(run: Run, folder: Path) -> None:
-    from insonify.io.configs import config_to_toml
-    from insonify.io.maps import save_map, save_point_cloud
-    from insonify.io.trajectories import save_track
-    from insonify.report.html import write_report
-
-    voxels = run.mapper.voxels
-    if run.flight is not None:
-        save_track(run.flight.track, folder / "trajectory.csv")
-    text = json.dumps(run.result(), indent=2) + "\n"
-    (folder / "result.json").write_text(text, encoding="utf-8")
-    (folder / "config.toml").write_text(config_to_toml(run.config), encoding="utf-8")
-    save_map(voxels, folder / "map.npz")
-    region = run.world.area.region
-    save_point_cloud(voxels, folder / "map.ply", run.config.entropy.high_entropy, region)
-    write_report(run, folder / "report.html")
 
 
 def _each(*consumers: Callable[[Run, Step], None]) -> Callable[[Run, Step], None]:
@@ -221,94 +156,46 @@ def _each(*consumers: Callable[[Run, Step], None]) -> Callable[[Run, Step], None
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[Run, Step], None]]:
-    """A progress bar on stderr, fed by the steps of one run after another."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+def shown_run() -> Iterator[Callable[[Run, Step], None]]:
+    """A progress bar, fed by the steps of one run after another."""
+    from insonify.mission.loop import Decided, Mapped
 
-    from insonify.mission import Decided, Mapped
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[speed]}"))
-    console = stderr()
-    shown = console.is_terminal
-    with Progress(
-        *columns, TimeElapsedColumn(), console=console, transient=True, disable=not shown
-    ) as bar:
-        task = bar.add_task("setting up", total=None, speed="")
-        started = time.perf_counter()
+    with progress("setting up") as bar:
 
         def watch(run: Run, step: Step) -> None:
-            nonlocal started
             if isinstance(step, Decided):
-                started = time.perf_counter()
                 title = f"{run.config.scenario} {run.planner}, scan {len(run.paths) + 1}"
-                bar.reset(task, total=run.config.survey.waypoints, description=title, speed="")
+                bar.restart(title, run.config.survey.waypoints)
             elif isinstance(step, Mapped):
                 done = len(run.paths[-1].waypoints)
-                rate = done / max(time.perf_counter() - started, 1e-9)
-                bar.update(task, completed=done, speed=f"{rate:.0f} pings/s")
+                bar.show(done, note=f"{bar.rate(done):.0f} pings/s")
 
         yield watch
 
 
-def _print_result(result: dict[str, Any]) -> None:
+def print_result(result: ScanResult) -> None:
+    """A run's figures for people."""
     from rich.console import Console
     from rich.table import Table as RichTable
 
     title = (
-        f"{result['scenario']}, {result['planner']} planner, seed {result['seed']}: "
-        f"{result['scans']} scans, {result['pings']} pings, {result['path_m']:.1f} m"
+        f"{result.scenario}, {result.planner} planner, seed {result.seed}: "
+        f"{result.scans} scans, {result.pings} pings, {result.path_m:.1f} m"
     )
     table = RichTable("truth", "match", "precision", "recall", "F1", "F2", "F3", title=title)
-    for kind, matches in result["metrics"].items():
+    for kind, matches in result.metrics.items():
         for match, scores in matches.items():
             values = [f"{value:.3f}" for value in scores.values()]
             table.add_row(kind, match.replace("_", " "), *values)
     console = Console()
     console.print(table)
-    if "vehicle" in result:
-        flown, error = result["vehicle"], result["vehicle"]["pose_error"]
-        perfect = flown["metrics_at_true_poses"]["solid"]["exact"]["f1"]
+    if result.vehicle is not None:
+        flown, error = result.vehicle, result.vehicle.pose_error
+        perfect = flown.metrics_at_true_poses["solid"]["exact"]["f1"]
         console.print(
-            f"{flown['name']} flew {flown['time_s']:.0f} s; its position was off by "
+            f"{flown.name} flew {flown.time_s:.0f} s; its position was off by "
             f"{error['position_mean_m']:.2f} m in the mean, {error['position_max_m']:.2f} m at "
             f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}.",
             highlight=False,
         )
-    console.print(result["stop_reason"])
-
-
-def _print_comparison(table: dict[str, Any]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    from insonify.comparison import SCORES
-    from insonify.scenarios import scenarios as known
-
-    console = Console()
-    for name, planners in table.items():
-        source = known()[name]["paper"]["source"]
-        order = [planner for planner in ("lawnmower", "uniform", "entropy") if planner in planners]
-        view = RichTable(
-            "", title=f"{name} (paper: {source})", box=box.SIMPLE, padding=(0, 1, 0, 0)
-        )
-        for planner in order:
-            view.add_column(planner, no_wrap=True)
-            view.add_column("paper", style="dim")
-        tolerances = (("exact", "exact"), ("within_one_voxel", "±1 voxel"))
-        for kind, (match, label) in product(("solid", "surface"), tolerances):
-            view.add_row(f"[bold]{kind}, {label}")
-            for score in SCORES:
-                cells = []
-                for planner in order:
-                    figure = planners[planner][kind][match][score]
-                    spread = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
-                    cells.append(f"{figure['mean']:.3f}{spread}")
-                    cells.append(f"{planners[planner]['paper'][score]:.3f}")
-                view.add_row(score, *cells)
-            view.add_section()
-        for key, label in (("scans", "scans"), ("pings", "pings"), ("path_m", "path, m")):
-            figures = [f"{planners[planner][key]['mean']:.1f}" for planner in order]
-            view.add_row(label, *(cell for figure in figures for cell in (figure, "")))
-        console.print(view)
-    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+    console.print(result.stop_reason.sentence)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -17,7 +19,7 @@ from insonify.cli.root import (
     JsonOption,
     OutOption,
     SetOption,
-    absolute_world,
+    absolute,
     app,
     choices,
     file_layers,
@@ -35,8 +37,11 @@ from insonify.cli.vehicles import (
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
-    from insonify.scenarios import Table
-    from insonify.tours import MountedSonar, Sounding, Tour
+    from insonify.cli.progress import Bar
+    from insonify.imaging.tour import TourPing
+    from insonify.results.tour import TourWriter
+    from insonify.types import StopReason
+    from insonify.vehicle.craft import Craft
 
 
 @app.command()
@@ -68,48 +73,66 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly a vehicle with several sonars over a world; each pings on its own clock."""
+    from insonify.imaging.tour import tour, tour_config
     from insonify.io.folders import result_folder, unused_folder
-    from insonify.planning.decision import StopReason
-    from insonify.simulation import build_scene
-    from insonify.tours import Sounding, tour, tour_config
-    from insonify.vehicle.craft import Craft
+    from insonify.results.tour import TourWriter
 
     chosen = choices(
-        world=absolute_world(world),
+        world=absolute(world),
         seed=seed,
-        sonars=sonars,
+        sonars=absolute(sonars),
         vehicle=vehicle_table(vehicle, current, navigation),
         waypoints=_waypoints(waypoints, path),
     )
     full = tour_config([*file_layers(config), chosen, *single_layers(settings)])
-    scene = build_scene(full.world)
-    folder = out or unused_folder(Path("insonify-runs") / f"fly-{Path(full.world).stem}")
-    reason = StopReason.INTERRUPTED
-    with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        soundings: list[Sounding] = []
-        craft: Craft | None = None
-        pace = wall_clock() if real_time else lambda time_s: None
-        for record in tour(full, scene, pace):
-            if isinstance(record, Sounding):
-                soundings.append(record)
-            elif isinstance(record, StopReason):
-                reason = record
-            else:
-                craft = record
-            if interrupted():
-                break
-        assert craft is not None
-        result = _write(full, craft, soundings, reason, place.scratch)
+    scene = full.scene()
+    folder = out or unused_folder(Path("insonify-runs") / f"fly-{full.world_name}")
+    pace = wall_clock() if real_time else lambda time_s: None
+    with (
+        result_folder(folder, force=force) as place,
+        interruptible() as interrupted,
+        TourWriter(full, place.scratch) as writer,
+        progress("flying") as bar,
+    ):
+        craft, reason = _flown(tour(full, scene, pace), writer, bar, interrupted)
+        bar.show(name="writing")
+        result = writer.finish(craft, reason)
     if as_json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result.to_json(), indent=2))
     else:
-        for name, count in result["pings"].items():
+        for name, count in result.pings.items():
             print(f"{name}: {count} pings")
-        print(f"{result['path_m']:.1f} m in {result['time_s']:.1f} s. {result['stop_reason']}")
+        print(f"{result.path_m:.1f} m in {result.time_s:.1f} s. {result.stop_reason.sentence}")
     print(f"Images and poses: {place.target}", file=sys.stderr)
     if interrupted():
         print("insonify: interrupted; what was heard until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _flown(
+    records: Iterator[TourPing | Craft | StopReason],
+    writer: TourWriter,
+    bar: Bar,
+    interrupted: Callable[[], bool],
+) -> tuple[Craft, StopReason]:
+    """The vehicle at the end of a tour, and why it ended; its pings are written as they come."""
+    from insonify.imaging.tour import TourPing
+    from insonify.types import StopReason
+
+    craft: Craft | None = None
+    for record in records:
+        if isinstance(record, StopReason):
+            assert craft is not None
+            return craft, record
+        if isinstance(record, TourPing):
+            writer.write(record)
+            bar.tell(f"{record.posed.ping.time_s:.0f} s")
+        else:
+            craft = record
+        if interrupted():
+            break
+    assert craft is not None
+    return craft, StopReason.INTERRUPTED
 
 
 def _waypoints(text: str | None, path: Path | None) -> list[list[float]] | None:
@@ -133,60 +156,3 @@ def _waypoints(text: str | None, path: Path | None) -> list[list[float]] | None:
             )
         rows.append(row if len(row) == 4 else [*row, 0.0])
     return rows
-
-
-def _write(config: Tour, craft: Any, soundings: list[Sounding], reason: Any, folder: Path) -> Table:
-    from insonify.io.configs import tour_to_toml
-    from insonify.io.tours import save_soundings, save_turns
-    from insonify.io.trajectories import save_track
-    from insonify.sonar.devices import Kind
-    from insonify.vehicle.craft import pose_errors
-
-    (folder / "config.toml").write_text(tour_to_toml(config), encoding="utf-8")
-    save_track(craft.track, folder / "trajectory.csv")
-    save_soundings(soundings, folder)
-    pings = {}
-    for mounted in config.sonars:
-        own = [one for one in soundings if one.sonar == mounted.name]
-        pings[mounted.name] = len(own)
-        if mounted.sonar.kind is Kind.SCANNING:
-            save_turns(own, mounted, folder)
-        _draw(own, mounted, folder)
-    result = {
-        "world": config.world,
-        "vehicle": config.vehicle.name,
-        "seed": config.seed,
-        "stop_reason": reason.value,
-        "time_s": craft.time_s,
-        "path_m": round(craft.track.length_m, 6),
-        "pose_error": pose_errors(craft.track),
-        "pings": pings,
-    }
-    text = json.dumps(result, indent=2) + "\n"
-    (folder / "result.json").write_text(text, encoding="utf-8")
-    return result
-
-
-def _draw(soundings: list[Sounding], mounted: MountedSonar, folder: Path) -> None:
-    """Pictures of a sonar: three of its pings, or its turns, as they came and de-skewed."""
-    from insonify.report.fans import draw_fan
-    from insonify.sonar.devices import Kind
-    from insonify.sonar.scanning import deskewed_image, polar_image
-    from insonify.tours import turns_of
-
-    if mounted.sonar.kind is not Kind.SCANNING:
-        for share in (1, 2, 3) if len(soundings) > 3 else ():
-            one = soundings[len(soundings) * share // 4]
-            title = f"{mounted.name}, ping {one.number}, {one.ping.time_s:.2f} s"
-            picture = draw_fan(one.ping, title, 8.0)
-            (folder / f"{mounted.name}-{one.number:05d}.png").write_bytes(picture)
-        return
-    for number, turn in enumerate(turns_of(soundings, mounted)):
-        kinds = {
-            "polar": polar_image(turn, mounted.sonar),
-            "deskewed": deskewed_image(turn, mounted.sonar, turn[0].pose),
-        }
-        for kind, image in kinds.items():
-            title = f"{mounted.name}, turn {number}, {kind}, from {image.time_s:.2f} s"
-            picture = draw_fan(image, title, 8.0)
-            (folder / f"{mounted.name}-{number:05d}-{kind}.png").write_bytes(picture)

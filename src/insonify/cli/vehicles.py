@@ -13,7 +13,8 @@ from insonify.cli.root import choices
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
-    from insonify.scenarios import Config, Table
+    from insonify.config.settings import Table
+    from insonify.mission.setup import Config
 
 VehicleOption = Annotated[
     str | None,

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.progress import progress
 from insonify.cli.recordings import (
     OffsetOption,
     PosesOption,
@@ -21,10 +20,10 @@ from insonify.cli.recordings import (
     SonarTopicOption,
     VoxelOption,
     box_from_text,
-    mapping_settings,
+    map_config,
     reading_of,
 )
-from insonify.cli.root import JsonOption, SetOption, app, interruptible, stderr
+from insonify.cli.root import JsonOption, SetOption, app, interruptible
 
 if TYPE_CHECKING:
     from insonify.view.page import Page
@@ -39,7 +38,7 @@ def view(
         Path, typer.Argument(metavar="RUN|MAP|RECORDING", help="Result folder, map or recording.")
     ],
     sonar: SonarOption = None,
-    voxel: VoxelOption = 0.1,
+    voxel: VoxelOption = None,
     region: RegionOption = None,
     poses: PosesOption = None,
     clock_offset: OffsetOption = 0.0,
@@ -54,17 +53,26 @@ def view(
     from insonify.view.page import Page
     from insonify.view.sources import open_story
 
-    mapping = mapping_settings(voxel, settings)
+    mapping = map_config(voxel, None, settings).mapping
     box = box_from_text(region) if region is not None else None
     reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
-    with _progress() as watch:
-        story = open_story(path, reading, mapping, box, watch=watch)
-    page = Page(story, host, port)
+    told = open_story(path, reading, mapping, box)
+    page = Page(told.story, host, port)
     if as_json:
-        print(json.dumps({"url": page.url, "pings": len(story.moments)}), flush=True)
+        print(json.dumps({"url": page.url, "pings": told.count}), flush=True)
     else:
-        print(f"View: {page.url}  (Ctrl-C ends it)", file=sys.stderr)
-    serve(page)
+        print(f"View: {page.url}  (Ctrl-C ends it)", file=sys.stderr, flush=True)
+    try:
+        with interruptible("closing the view") as interrupted:
+            with progress("reading") as bar:
+                told.go_on(
+                    lambda done, count: bar.show(done, count, path.name, f"{done} of {count}"),
+                    interrupted,
+                )
+            while not interrupted():
+                time.sleep(0.1)
+    finally:
+        page.close()
 
 
 def live_page(title: str) -> Page:
@@ -83,18 +91,3 @@ def serve(page: Page) -> None:
         while not interrupted():
             time.sleep(0.1)
     page.close()
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    console = stderr()
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        task = bar.add_task("opening", total=None)
-        yield lambda name, done, count: bar.update(
-            task, completed=done, total=count, description=name
-        )

@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.archives import read_archive
-from insonify.sonar.scanning import HeadPing
 from insonify.sonar.truth import Truth
-from insonify.types import Array, FanGeometry, Float32, Ping, Pose
+from insonify.types import Array, FanGeometry, Float32, Ping, Pose, PosedPing
 
 PING, SWEEP, VERSION = "insonify-ping", "insonify-sweep", 1
 _PIXELWISE = ("label", "elevation_rad", "range_m", "point_m", "first_return", "shadow")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SavedPing:
-    """A ping with what was saved beside it."""
-
-    ping: Ping
-    pose: Pose
-    truth: Truth | None
-
-
-def save_ping(path: Path, ping: Ping, pose: Pose, truth: Truth | None = None) -> None:
+def save_ping(path: Path, posed: PosedPing, truth: Truth | None = None) -> None:
     """Write a ping as a NumPy archive.
 
     Arrays: ``format``, ``version``, ``image`` (bins, beams) float32; ``fan``: azimuth and elevation
@@ -35,7 +25,8 @@ def save_ping(path: Path, ping: Ping, pose: Pose, truth: Truth | None = None) ->
     pitch, yaw (rad) of the sonar on the body and of the body in the world; ``time_s``; with truth
     also ``labels`` and the arrays of `insonify.sonar.truth.Truth`.
     """
-    arrays = {"image": ping.image, "time_s": np.array(ping.time_s), "pose": _six(pose)}
+    ping = posed.ping
+    arrays = {"image": ping.image, "time_s": np.array(ping.time_s), "pose": _six(posed.pose)}
     arrays |= _geometry_arrays(ping.geometry)
     if truth is not None:
         arrays["labels"] = np.array(truth.labels)
@@ -43,8 +34,8 @@ def save_ping(path: Path, ping: Ping, pose: Pose, truth: Truth | None = None) ->
     _write(path, PING, arrays)
 
 
-def load_ping(path: Path | str) -> SavedPing:
-    """Read a ping written by `save_ping`.
+def load_ping(path: Path | str) -> tuple[PosedPing, Truth | None]:
+    """Read a ping written by `save_ping`, and the truth of its pixels if it was saved too.
 
     Raises:
         RecordingError: The file is missing, is no such ping, or is damaged.
@@ -61,13 +52,13 @@ def load_ping(path: Path | str) -> SavedPing:
         if "labels" in arrays:
             labels = tuple(str(name) for name in arrays["labels"])
             truth = Truth(labels, **{name: arrays[name] for name in _PIXELWISE})
-        return SavedPing(ping, _pose(arrays["pose"]), truth)
+        return PosedPing(ping, _pose(arrays["pose"])), truth
     except (KeyError, ValueError, TypeError, IndexError) as err:
         raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
 
 
 def save_sweep(
-    path: Path, pings: tuple[HeadPing, ...], polar: Ping, deskewed: Ping, truths: tuple[Truth, ...]
+    path: Path, pings: Sequence[PosedPing], polar: Ping, deskewed: Ping, truths: Sequence[Truth]
 ) -> None:
     """Write a turn of a scanning head as a NumPy archive.
 
@@ -80,7 +71,7 @@ def save_sweep(
         "image": polar.image,
         "deskewed": deskewed.image,
         "raw": np.concatenate([one.ping.image for one in pings], axis=1),
-        "head_rad": np.array([one.head_rad for one in pings]),
+        "head_rad": np.array([one.ping.head_rad for one in pings]),
         "times_s": np.array([one.ping.time_s for one in pings]),
         "poses": np.array([_six(one.pose) for one in pings]),
         "pose": _six(pings[0].pose),
@@ -103,7 +94,7 @@ def is_sweep(path: Path) -> bool:
     return True
 
 
-def save_sidescan(path: Path, image: Float32, bin_m: float, poses: list[Pose]) -> None:
+def save_sidescan(path: Path, image: Float32, bin_m: float, poses: Sequence[Pose | None]) -> None:
     """Write a side-scan image, (lines, 2 x bins) float32, the first line last, and its poses."""
     arrays = {"image": image, "bin_m": np.array(bin_m), "poses": np.array([*map(_six, poses)])}
     _write(path, "insonify-sidescan", arrays)
@@ -116,7 +107,8 @@ def _write(path: Path, form: str, arrays: dict[str, Array]) -> None:
         )
 
 
-def _six(pose: Pose) -> Array:
+def _six(pose: Pose | None) -> Array:
+    assert pose is not None
     return np.array(dataclasses.astuple(pose))
 
 

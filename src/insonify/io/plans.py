@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from insonify.io.datum import Datum
-from insonify.io.recordings import messages
-from insonify.io.recordings.mcap_writing import McapWriter
+from insonify.io.recordings.ros import messages
+from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.types import Pose, ScanPath
 
 _WAYPOINT, _RELATIVE_ALTITUDE, _ARDUPILOT, _SUBMARINE = 16, 3, 3, 12

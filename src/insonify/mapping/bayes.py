@@ -9,71 +9,38 @@ shadow and say nothing.
 from __future__ import annotations
 
 import math
-from typing import Protocol, Self
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from insonify.frames import world_from_sonar
 from insonify.jit import kernel, parallel_kernel, prange
-from insonify.mapping.fan import blocks_in_fan
+from insonify.mapping.fan import blocks_in_fan, fan_vector
+from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.sight import before_the_first_occupied
 from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
 from insonify.types import Array, FanGeometry, Float32, Float64, Int32, Int64, Ping, Pose
 
 
-class MappingSettings(BaseModel):
-    """Voxel size and inverse sensor model."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    voxel_m: float = Field(0.1, gt=0, le=100, description="edge length of a voxel")
-    pixel_threshold: int = Field(
-        76, ge=0, le=254, description="of 255; brighter pixels are occupied (Table 1)"
-    )
-    p_occupied: float = Field(
-        0.6, gt=0.5, lt=1, description="p(occupied | the voxel's arc has an echo)"
-    )
-    p_free: float = Field(
-        0.15, gt=0, lt=0.5, description="p(occupied | silence before the first echo)"
-    )
-    p_min: float = Field(0.02, gt=0, lt=0.5, description="lower clamp of the probability")
-    p_max: float = Field(0.98, gt=0.5, lt=1, description="upper clamp of the probability")
-
-    @model_validator(mode="after")
-    def _evidence_inside_clamps(self) -> Self:
-        if self.p_free < self.p_min or self.p_occupied > self.p_max:
-            raise ValueError(
-                f"p_free ({self.p_free:g}) and p_occupied ({self.p_occupied:g}) must lie between "
-                f"p_min ({self.p_min:g}) and p_max ({self.p_max:g})"
-            )
-        return self
-
-
-class Mapper(Protocol):
-    """Builds a voxel map from pings and the poses the vehicle believes they were taken at."""
-
-    name: str
-    voxels: VoxelMap
-
-    def integrate(self, ping: Ping, pose: Pose) -> None:
-        """Update the map with one ping taken at a vehicle pose."""
-
-
 class BayesMapper:
-    """The papers' mapper: each ping adds log-odds to every voxel it speaks about."""
+    """The papers' mapper: each ping adds log-odds to every voxel it speaks about.
+
+    It also serves as the base of mappers that change one thing of it.
+    """
 
     name = "bayes"
 
-    def __init__(self, settings: MappingSettings) -> None:
-        """An empty map."""
+    def __init__(self, settings: MappingSettings, voxels: VoxelMap | None = None) -> None:
+        """An empty map, or one to go on with."""
         self.settings = settings
-        self.voxels = VoxelMap(settings.voxel_m)
+        self.voxels = VoxelMap(settings.voxel_m) if voxels is None else voxels
+        bayes = settings.bayes
         self._evidence = np.array(
             [
-                log_odds(settings.p_free),
-                log_odds(settings.p_occupied),
-                log_odds(settings.p_min),
-                log_odds(settings.p_max),
+                log_odds(bayes.p_free),
+                log_odds(bayes.p_occupied),
+                log_odds(bayes.p_min),
+                log_odds(bayes.p_max),
             ],
             np.float32,
         )
@@ -100,23 +67,24 @@ class BayesMapper:
             self._evidence,
         )
 
+    def finish_scan(self) -> None:
+        """Nothing: every ping has been used when it came."""
+
+    def tells(self, poses: Sequence[Pose], geometry: FanGeometry, voxels_m: Float64) -> Float32:
+        """1 for a voxel before the first occupied one of its beam, else 0 (M_b of eq. 6)."""
+        return before_the_first_occupied(self.voxels, poses, geometry, voxels_m)
+
+    def save(self) -> dict[str, Array]:
+        """Nothing: the map is all that it knows."""
+        return {}
+
+    def load(self, arrays: Mapping[str, Array]) -> None:
+        """Go on with the map alone."""
+
 
 def log_odds(probability: float) -> float:
     """ln(p / (1 - p))."""
     return math.log(probability / (1.0 - probability))
-
-
-def fan_vector(geometry: FanGeometry) -> Float64:
-    """A fan's geometry as kernels take it: half azimuth, half elevation, least range, beam, bin."""
-    return np.array(
-        [
-            geometry.azimuth_fov_rad / 2,
-            geometry.elevation_fov_rad / 2,
-            geometry.range_min_m,
-            geometry.beam_rad,
-            geometry.bin_m,
-        ]
-    )
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Which blocks of voxels a sonar's fan touches."""
+"""A sonar's fan in space: what lies in it, and which blocks of voxels it touches."""
 
 from __future__ import annotations
 
@@ -9,15 +9,57 @@ import numpy as np
 
 from insonify.frames import directions_from_angles
 from insonify.jit import kernel
-from insonify.types import FanGeometry, Float64, Int32
+from insonify.types import Box, FanGeometry, Float64, Int32
+
+
+def fan_vector(geometry: FanGeometry) -> Float64:
+    """A fan's geometry as kernels take it: half azimuth, half elevation, least range, beam, bin."""
+    return np.array(
+        [
+            geometry.azimuth_fov_rad / 2,
+            geometry.elevation_fov_rad / 2,
+            geometry.range_min_m,
+            geometry.beam_rad,
+            geometry.bin_m,
+        ]
+    )
+
+
+@kernel
+def in_fan(
+    transform: Float64, fan: Float64, range_max_m: float, point: Float64
+) -> tuple[float, float]:
+    """Distance and azimuth of a point from the sonar; a negative distance if it is out of view.
+
+    Args:
+        transform: ``world_from_sonar``, (4, 4).
+        fan: See `fan_vector`.
+        range_max_m: Where the fan ends.
+        point: (3,) world frame.
+    """
+    dx = point[0] - transform[0, 3]
+    dy = point[1] - transform[1, 3]
+    dz = point[2] - transform[2, 3]
+    square = dx * dx + dy * dy + dz * dz
+    if square > range_max_m * range_max_m or square < fan[2] * fan[2]:
+        return -1.0, 0.0
+    z = transform[0, 2] * dx + transform[1, 2] * dy + transform[2, 2] * dz
+    sin_elevation = math.sin(fan[1])
+    if z * z > square * sin_elevation * sin_elevation:
+        return -1.0, 0.0
+    x = transform[0, 0] * dx + transform[1, 0] * dy + transform[2, 0] * dz
+    y = transform[0, 1] * dx + transform[1, 1] * dy + transform[2, 1] * dz
+    azimuth = math.atan2(y, x)
+    if abs(azimuth) > fan[0]:
+        return -1.0, 0.0
+    return math.sqrt(square), azimuth
 
 
 def blocks_in_fan(transform: Float64, geometry: FanGeometry, block_m: float) -> Int32:
     """Indices (N, 3) of all blocks that a fan at ``world_from_sonar`` touches, a few more too."""
-    rim = _rim(geometry) @ transform[:3, :3].T
-    rim = np.vstack([np.zeros(3), rim]) + transform[:3, 3]
-    low = np.floor(rim.min(axis=0) / block_m).astype(np.int32)
-    high = np.floor(rim.max(axis=0) / block_m).astype(np.int32)
+    box = fan_box(transform, geometry)
+    low = np.floor(np.array(box.low_m) / block_m).astype(np.int32)
+    high = np.floor(np.array(box.high_m) / block_m).astype(np.int32)
     return _cull(
         low,
         high,
@@ -28,6 +70,13 @@ def blocks_in_fan(transform: Float64, geometry: FanGeometry, block_m: float) -> 
         geometry.range_min_m,
         geometry.range_max_m,
     )
+
+
+def fan_box(transform: Float64, geometry: FanGeometry) -> Box:
+    """A box that holds all of a fan at ``world_from_sonar``."""
+    rim = _rim(geometry) @ transform[:3, :3].T
+    rim = np.vstack([np.zeros(3), rim]) + transform[:3, 3]
+    return Box.of(rim.min(axis=0), rim.max(axis=0))
 
 
 @lru_cache(maxsize=8)

@@ -11,11 +11,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from insonify.mapping.store import (
+    BLOCK,
+    BYTES_PER_VOXEL,
+    VOXELS_PER_BLOCK,
+    BlockStore,
+    MemoryStore,
+)
 from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
 
-BLOCK = 8
-VOXELS_PER_BLOCK = BLOCK**3
-BYTES_PER_VOXEL = 5
+__all__ = [
+    "BLOCK",
+    "BYTES_PER_VOXEL",
+    "FARTHEST_BLOCK",
+    "IN_VIEW",
+    "OBSERVED",
+    "VOXELS_PER_BLOCK",
+    "VoxelMap",
+    "VoxelWindow",
+    "probability_from_log_odds",
+    "touching",
+]
+
 FARTHEST_BLOCK = 1_000_000
 IN_VIEW = 1
 OBSERVED = 2
@@ -57,20 +74,22 @@ class VoxelWindow:
 class VoxelMap:
     """Blocks of voxels, allocated when first touched."""
 
-    def __init__(self, voxel_m: float) -> None:
-        """An empty map with voxels of edge ``voxel_m`` metres."""
+    def __init__(self, voxel_m: float, store: BlockStore | None = None) -> None:
+        """An empty map, or the map of a store.
+
+        Args:
+            voxel_m: Edge length of a voxel.
+            store: Where the blocks are kept; in memory by default.
+        """
         if not 0.0 < voxel_m < float("inf"):
             raise ValueError(f"voxel_m must be positive and finite, not {voxel_m}")
         self.voxel_m = voxel_m
-        self._slot_of: dict[int, int] = {}
-        self._coords = np.zeros((64, 3), np.int32)
-        self._log_odds = np.zeros((64, VOXELS_PER_BLOCK), np.float32)
-        self._seen = np.zeros((64, VOXELS_PER_BLOCK), np.uint8)
+        self._store: BlockStore = MemoryStore() if store is None else store
 
     @property
     def block_count(self) -> int:
         """How many blocks are allocated."""
-        return len(self._slot_of)
+        return len(self._store.coords)
 
     @property
     def block_m(self) -> float:
@@ -80,40 +99,48 @@ class VoxelMap:
     @property
     def coords(self) -> Int32:
         """Block indices (blocks, 3), in order of allocation."""
-        return self._coords[: self.block_count]
+        return self._store.coords
 
     @property
     def log_odds(self) -> Float32:
         """Log-odds of all voxels, (blocks, 512), x outermost; a view, so kernels may write it."""
-        return self._log_odds[: self.block_count]
+        return self._store.log_odds
 
     @property
     def seen(self) -> np.ndarray:
         """IN_VIEW and OBSERVED bits of all voxels, (blocks, 512) uint8; a view."""
-        return self._seen[: self.block_count]
+        return self._store.seen
 
     def allocate(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3), making those that are new."""
-        slots = self.find(coords)
-        table, keys = self._slot_of, _keys(coords)
-        for row in np.flatnonzero(slots < 0):
-            slot = table.setdefault(int(keys[row]), len(table))
-            self._reserve(slot + 1)
-            self._coords[slot] = coords[row]
-            slots[row] = slot
-        return slots
+        return self._store.allocate(coords)
 
     def find(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
-        table = self._slot_of
-        return np.array([table.get(key, -1) for key in _keys(coords).tolist()], np.int64)
+        return self._store.find(coords)
 
-    def occupied_m(self) -> Float64:
-        """Centres (N, 3) of all voxels more likely occupied than not, world frame."""
-        slot, voxel = np.nonzero(self.log_odds > 0.0)
+    def occupied_m(self, box: Box | None = None) -> Float64:
+        """Centres (N, 3) of voxels more likely occupied than not, world frame.
+
+        Args:
+            box: Only those of the blocks that touch it are looked at; by default all.
+        """
+        coords, log_odds = self.coords, self.log_odds
+        if box is not None:
+            near = touching(coords, self.block_m, box)
+            coords, log_odds = coords[near], log_odds[near]
+        row, voxel = np.nonzero(log_odds > 0.0)
         within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-        index = self.coords[slot] * BLOCK + within
+        index = coords[row] * BLOCK + within
         return (index.astype(np.float64) + 0.5) * self.voxel_m
+
+    def around_occupied(self) -> Box:
+        """The occupied voxels and a block around them; all of the map if none is occupied."""
+        occupied = self.occupied_m()
+        if len(occupied):
+            return Box.of(occupied.min(axis=0), occupied.max(axis=0)).grown(self.block_m)
+        low, high = self.coords.min(axis=0), self.coords.max(axis=0) + 1
+        return Box.of(low * self.block_m, high * self.block_m)
 
     def window(self, box: Box) -> VoxelWindow:
         """A dense copy of the voxels whose centres lie in a box."""
@@ -137,26 +164,17 @@ class VoxelMap:
             stop = np.minimum(corners[slot] + BLOCK, high)
             inside = tuple(map(slice, start - corners[slot], stop - corners[slot]))
             target = tuple(map(slice, start - low, stop - low))
-            log_odds[target] = self._log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
-            seen[target] = self._seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
+            log_odds[target] = self.log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
+            seen[target] = self.seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
 
-    def _reserve(self, blocks: int) -> None:
-        capacity = len(self._coords)
-        if blocks <= capacity:
-            return
-        for name in ("_coords", "_log_odds", "_seen"):
-            old = getattr(self, name)
-            new = np.zeros((2 * capacity, *old.shape[1:]), old.dtype)
-            new[:capacity] = old
-            setattr(self, name, new)
+
+def touching(coords: Int32, block_m: float, box: Box) -> Bool:
+    """Which blocks (N, 3) a box touches."""
+    low_m = coords.astype(np.float64) * block_m
+    inside = (low_m <= box.high_m) & (low_m + block_m >= box.low_m)
+    return np.asarray(inside.all(axis=1), bool)
 
 
 def probability_from_log_odds(log_odds: Float32) -> Float32:
     """P = 1 / (1 + exp(-l)), any shape."""
     return (1.0 / (1.0 + np.exp(-log_odds))).astype(np.float32)
-
-
-def _keys(coords: Int32) -> Int64:
-    """One integer for each block index (N, 3), distinct for indices within +-1,000,000."""
-    keys: Int64 = np.asarray(coords, np.int64) @ np.array([1 << 42, 1 << 21, 1])
-    return keys

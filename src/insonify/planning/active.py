@@ -5,16 +5,18 @@ from __future__ import annotations
 from enum import StrEnum
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from insonify.mapping.voxels import VoxelMap, VoxelWindow
+from insonify.config.settings import Settings
+from insonify.mapping.mapper import Belief
+from insonify.mapping.voxels import VoxelWindow
 from insonify.planning.baselines import path_over_centre
 from insonify.planning.candidates import candidate_poses, standoff_radius, straight_path
 from insonify.planning.clusters import Cluster, largest_cluster
-from insonify.planning.decision import Decision, Look, StopReason, SurveyArea
+from insonify.planning.decision import Decision, Look, SurveyArea
 from insonify.planning.entropy import entropy_map, high_entropy_voxels
-from insonify.planning.gain import entropy_in_view
-from insonify.types import FanGeometry, Float32, Float64, Nav
+from insonify.planning.gain import expected_gain
+from insonify.types import FanGeometry, Float32, Float64, Nav, StopReason
 
 
 class Standoff(StrEnum):
@@ -31,10 +33,8 @@ class Counted(StrEnum):
     REGION = "region"
 
 
-class EntropySettings(BaseModel):
+class EntropySettings(Settings):
     """Parameters of the entropy planner."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     high_entropy: float = Field(
         0.99, gt=0, le=1, description="least entropy of an undecided voxel (Table 1)"
@@ -66,16 +66,16 @@ class EntropyPlanner:
         self.geometry = geometry
         self.settings = settings
 
-    def next_scan(self, voxels: VoxelMap, nav: Nav) -> Decision:
+    def next_scan(self, belief: Belief, nav: Nav) -> Decision:
         """The path that resolves most, or the reason why none is worth flying."""
         if not nav.scans:
             return Decision(path=path_over_centre(self.area, self.area.heading_rad))
-        window = voxels.window(self.area.region)
+        window = belief.voxels.window(self.area.region)
         entropy = entropy_map(window)
         cluster = self._most_uncertain(window, entropy)
         if cluster is None:
             return Decision(stop=StopReason.NO_CLUSTER)
-        look = self._look_around(voxels, window, entropy, cluster)
+        look = self._look_around(belief, window, entropy, cluster)
         if look.h_cluster.max() <= self.settings.termination * cluster.entropy:  # eq. 9
             return Decision(stop=StopReason.NOT_WORTH_IT, look=look)
         if len(nav.scans) >= self.settings.max_scans:
@@ -96,7 +96,7 @@ class EntropyPlanner:
         )
 
     def _look_around(
-        self, voxels: VoxelMap, window: VoxelWindow, entropy: Float32, cluster: Cluster
+        self, belief: Belief, window: VoxelWindow, entropy: Float32, cluster: Cluster
     ) -> Look:
         """Score the candidates around a cluster (eq. 4 to 7)."""
         z_m = self.area.z_m
@@ -104,15 +104,14 @@ class EntropyPlanner:
         if self.settings.standoff is Standoff.AXIS:
             radius_m = standoff_radius(cluster, z_m, self.geometry)
         poses = candidate_poses(cluster, radius_m, z_m, self.settings.candidates)
-        occupied_m = voxels.occupied_m()
 
         def seen(voxels_m: Float64, bits: Float32) -> Float64:
-            geometry = self.geometry
-            return entropy_in_view(poses, geometry, window.voxel_m, occupied_m, voxels_m, bits)
+            return expected_gain(belief, poses, self.geometry, voxels_m, bits)
 
         h_cluster = seen(cluster.voxels_m, cluster.voxel_entropy)
         h_sum = h_cluster
         if self.settings.counted is Counted.REGION:
             everywhere = np.ones(entropy.shape, bool)
             h_sum = seen(window.centres_m(everywhere), entropy.ravel())
-        return Look(cluster, poses, h_sum, h_cluster, int(np.argmax(h_sum)))
+        best = int(np.argmax(h_sum))
+        return Look(cluster, poses, h_sum, h_cluster, best, self.settings.termination)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 
-from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.mapper import Belief
 from insonify.planning.candidates import straight_path
-from insonify.planning.decision import Decision, StopReason, SurveyArea
-from insonify.types import Nav, Pose, ScanPath
+from insonify.planning.decision import Decision, SurveyArea
+from insonify.types import Nav, Pose, ScanPath, StopReason
 
 
 def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
@@ -34,7 +34,7 @@ class FixedPlan(ABC):
         self.area = area
         self.scans = scans
 
-    def next_scan(self, voxels: VoxelMap, nav: Nav) -> Decision:
+    def next_scan(self, belief: Belief, nav: Nav) -> Decision:
         """The next scan of the plan."""
         done = len(nav.scans)
         if done == self.scans:

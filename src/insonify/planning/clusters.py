@@ -28,6 +28,14 @@ class Cluster:
     radius_m: float
     entropy: float
 
+    @classmethod
+    def of(cls, voxels_m: Float64, voxel_entropy: Float32) -> Cluster:
+        """The cluster of voxels (N, 3) with their entropy (N,)."""
+        x, y, z = (float(c) for c in voxels_m.mean(axis=0))
+        radius_m = float(np.hypot(voxels_m[:, 0] - x, voxels_m[:, 1] - y).max())
+        bits = float(voxel_entropy.sum(dtype=np.float64))
+        return cls(voxels_m, voxel_entropy, (x, y, z), radius_m, bits)
+
 
 def largest_cluster(
     voxels: Int64, entropy: Float32, voxel_m: float, eps_m: float, min_samples: int
@@ -46,8 +54,4 @@ def largest_cluster(
     if len(sizes) == 0:
         return None
     members = labels == int(np.argmax(sizes))
-    centres = (voxels[members] + 0.5) * voxel_m
-    x, y, z = (float(c) for c in centres.mean(axis=0))
-    radius_m = float(np.hypot(centres[:, 0] - x, centres[:, 1] - y).max())
-    bits = entropy[members]
-    return Cluster(centres, bits, (x, y, z), radius_m, float(bits.sum(dtype=np.float64)))
+    return Cluster.of((voxels[members] + 0.5) * voxel_m, entropy[members])

@@ -4,29 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 from typing import Protocol
 
-from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.mapper import Belief
 from insonify.planning.clusters import Cluster
-from insonify.types import Box, Float64, Nav, Pose, ScanPath
-
-
-class StopReason(Enum):
-    """Why a mission ended, as a sentence for the user."""
-
-    NOT_WORTH_IT = "No candidate pose would resolve more than TC of the largest cluster's entropy."
-    NO_CLUSTER = "No cluster of undecided voxels is left in the designated area."
-    PLAN_FLOWN = "All planned scans are flown."
-    SCAN_LIMIT = "The limit on the number of scans was reached."
-    OBSTACLE = "The next scan path runs into the object or the seabed."
-    NO_WAY = "A mapped obstacle bars the way, and no way round it was found."
-    COLLISION = "The vehicle ran into the object or the seabed."
-    TOO_SLOW = "The vehicle could not keep to its path: the current or the load is too strong."
-    LOST = "The vehicle no longer knows where it is: its position is too uncertain."
-    IMU_FAILED = "The IMU gives no numbers, and the vehicle cannot navigate without it."
-    SILENT = "The sonar has fallen silent."
-    INTERRUPTED = "The user interrupted the mission."
+from insonify.types import Box, Float32, Float64, Nav, Pose, ScanPath, StopReason
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +47,7 @@ class Look:
         h_sum: (N,) what each candidate would see (eq. 6), bits.
         h_cluster: (N,) the part of it that is C_max's.
         best: Index of the argmax (eq. 7).
+        termination: TC: the share of C_max's entropy that must be exceeded (eq. 9).
     """
 
     cluster: Cluster
@@ -72,6 +55,7 @@ class Look:
     h_sum: Float64
     h_cluster: Float64
     best: int
+    termination: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +74,25 @@ class Decision:
 
 
 class Planner(Protocol):
-    """Decides, from the map alone, where to scan next."""
+    """Decides, from what is believed alone, where to scan next."""
 
     name: str
 
-    def next_scan(self, voxels: VoxelMap, nav: Nav) -> Decision:
+    def next_scan(self, belief: Belief, nav: Nav) -> Decision:
         """The next scan path, or a reason to stop; ``nav.scans`` is empty before the first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionRecord:
+    """A decision as it is kept.
+
+    Attributes:
+        pings: How many were mapped before it.
+        decision: The answer.
+        entropy_bits: (nx, ny) entropy of the designated area summed over height, not a number
+            where no voxel has been in view; None before the first scan.
+    """
+
+    pings: int
+    decision: Decision
+    entropy_bits: Float32 | None = None

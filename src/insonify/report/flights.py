@@ -8,20 +8,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from insonify.frames import wrapped
+from insonify.mission.account import Account
 from insonify.report.fans import INK, png
 from insonify.report.pictures import draw_ground
-from insonify.runs import Run
 from insonify.types import Float64, Pose
 from insonify.vehicle.craft import Moment
 
 TRUE, ESTIMATED, PLANNED = "#2a9d57", "#d1495b", "#3066be"
 
 
-def draw_tracks(run: Run, moments: list[Moment]) -> bytes:
+def draw_tracks(account: Account, moments: list[Moment]) -> bytes:
     """The true, estimated and planned track from above and from the side in time."""
     figure = Figure(figsize=(10.2, 5.6), layout="constrained")
     above, aside = figure.subplots(1, 2, width_ratios=(1.5, 1))
-    draw_ground(above, run)
+    draw_ground(above, account)
     time_s = [moment.time_s for moment in moments]
     tracks = (
         ("planned", PLANNED, "--", [moment.planned for moment in moments]),

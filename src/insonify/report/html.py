@@ -11,71 +11,86 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from insonify.io.configs import config_to_toml
+from insonify.mission.account import Account
+from insonify.planning.decision import DecisionRecord
 from insonify.report import flights, pictures
 from insonify.report.fans import draw_fan
-from insonify.runs import Run
 from insonify.types import Array, Bool, Float64
 
 
-def write_report(run: Run, path: Path) -> None:
-    """Write the report of a run."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("insonify", "report"), autoescape=True, trim_blocks=True
-    )
+def write_report(account: Account, path: Path) -> None:
+    """Write the report of a scan, of its run or of its files.
+
+    Raises:
+        MissingExtraError: The packages for reports are not installed.
+    """
     plotly = resources.files("plotly").joinpath("package_data/plotly.min.js")
-    page = environment.get_template("report.html.jinja").render(
-        run=run,
-        result=run.result(),
-        area=run.world.area,
-        trajectory=_embed(pictures.draw_trajectory(run)),
-        flight=_flight(run),
+    page = template("report.html.jinja").render(
+        account=account,
+        result=account.result,
+        trajectory=embed(pictures.draw_trajectory(account)),
+        flight=_flight(account),
         decisions=[
-            {"after": after, "snapshot": snapshot, "image": _embed(image)}
-            for after, snapshot, image in _decisions(run)
+            {"after": after, "decision": record.decision, "image": embed(image)}
+            for after, record, image in _decisions(account)
         ],
-        pings=[_embed(image) for image in _pings(run)],
-        slices=_embed(pictures.draw_slices(run)),
-        history=_embed(pictures.draw_history(run)),
-        scene3d=json.dumps(_scene_3d(run)),
-        config=config_to_toml(run.config),
+        pings=[embed(image) for image in _pings(account)],
+        slices=embed(pictures.draw_slices(account)),
+        history=embed(pictures.draw_history(account.result)),
+        scene3d=json.dumps(_scene_3d(account)),
+        config=account.config_toml,
         plotly=plotly.read_text(encoding="utf-8"),
     )
     path.write_text(page, encoding="utf-8")
 
 
-def _flight(run: Run) -> dict[str, Any] | None:
+def template(name: str) -> jinja2.Template:
+    """A template of this room."""
+    loader = jinja2.PackageLoader("insonify", "report")
+    return jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(name)
+
+
+def embed(png: bytes) -> str:
+    """A picture as an address that holds it."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
+
+
+def _flight(account: Account) -> dict[str, Any] | None:
     """The pictures of a flight, if there was one."""
-    if run.flight is None or not run.flight.track.moments:
+    if not account.moments:
         return None
-    moments = run.flight.track.moments
+    moments = list(account.moments)
     return {
-        "tracks": _embed(flights.draw_tracks(run, moments)),
-        "errors": _embed(flights.draw_pose_errors(moments)),
+        "tracks": embed(flights.draw_tracks(account, moments)),
+        "errors": embed(flights.draw_pose_errors(moments)),
     }
 
 
-def _decisions(run: Run) -> list[tuple[int, Any, bytes]]:
+def _decisions(account: Account) -> list[tuple[int, DecisionRecord, bytes]]:
+    """Those made on a map, if their reasons are known or they are the entropy planner's."""
+    made = [record for record in account.decisions if record.entropy_bits is not None]
     return [
-        (after, snapshot, pictures.draw_decision(run, snapshot, after))
-        for after, snapshot in enumerate(run.snapshots, 1)
-        if snapshot.decision.look is not None or run.planner == "entropy"
+        (after, record, pictures.draw_decision(account, record, after))
+        for after, record in enumerate(made, 1)
+        if record.decision.look is not None or account.result.planner == "entropy"
     ]
 
 
-def _pings(run: Run) -> list[bytes]:
-    return [
-        draw_fan(ping, f"scan {scan}, at ({pose.x_m:.1f}, {pose.y_m:.1f}) m")
-        for scan, pose, ping in run.keyframes
-    ]
+def _pings(account: Account) -> list[bytes]:
+    found = []
+    for scan, posed in account.keyframes:
+        assert posed.pose is not None
+        where = f"at ({posed.pose.x_m:.1f}, {posed.pose.y_m:.1f}) m"
+        found.append(draw_fan(posed.ping, f"scan {scan}, {where}"))
+    return found
 
 
-def _scene_3d(run: Run) -> list[dict[str, Any]]:
+def _scene_3d(account: Account) -> list[dict[str, Any]]:
     """Plotly traces: true positives, false positives and misses as cubes, paths, C_max."""
-    truth = run.truth
-    voxel_m = run.config.mapping.voxel_m
+    truth = account.truth
+    voxel_m = account.voxels.voxel_m
     corner = np.asarray(truth.box.low_m)
-    reconstructed = run.mapper.voxels.window(truth.box).occupied & truth.scored
+    reconstructed = account.voxels.window(truth.box).occupied & truth.scored
     actual = truth.solid & truth.scored
     kinds = (
         ("true positives", reconstructed & actual, pictures.TRUE_POSITIVE, 1.0),
@@ -88,11 +103,11 @@ def _scene_3d(run: Run) -> list[dict[str, Any]]:
     ]
     traces += [
         _line(number, np.array([pose.position_m for pose in path.waypoints]))
-        for number, path in enumerate(run.paths, 1)
+        for number, path in enumerate(account.paths, 1)
     ]
-    for snapshot in run.snapshots[-1:]:
-        if snapshot.decision.look is not None:
-            traces.append(_dots("last C_max", snapshot.decision.look.cluster.voxels_m))
+    for record in account.decisions[-1:]:
+        if record.decision.look is not None:
+            traces.append(_dots("last C_max", record.decision.look.cluster.voxels_m))
     return traces
 
 
@@ -144,7 +159,3 @@ def _packed(values: Array, kind: str) -> dict[str, str]:
     """An array as Plotly's typed array."""
     raw = np.ascontiguousarray(values, np.dtype(kind).newbyteorder("<")).tobytes()
     return {"dtype": kind, "bdata": base64.b64encode(raw).decode()}
-
-
-def _embed(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode()

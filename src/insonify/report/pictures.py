@@ -8,10 +8,11 @@ from matplotlib.colors import ListedColormap, to_hex
 from matplotlib.figure import Figure
 
 from insonify.evaluation import GroundTruth
-from insonify.planning.decision import Look, SurveyArea
+from insonify.mission.account import Account
+from insonify.mission.result import ScanResult
+from insonify.planning.decision import DecisionRecord, Look
 from insonify.report.fans import INK, png
-from insonify.runs import Run, Snapshot
-from insonify.types import Array, Bool, Float64
+from insonify.types import Array, Bool, Box, Float64
 
 TRUE_POSITIVE, FALSE_POSITIVE, MISS = "#2a9d57", "#d1495b", "#3066be"
 UNSEEN = "#aab4be"
@@ -22,13 +23,13 @@ def scan_colour(number: int) -> str:
     return to_hex(f"C{(number - 1) % 10}")
 
 
-def draw_trajectory(run: Run) -> bytes:
+def draw_trajectory(account: Account) -> bytes:
     """The scans from above, numbered, over the object's outline (Fig. 5 and 6)."""
     figure = Figure(figsize=(7.2, 6.2))
     axes = figure.add_subplot()
-    _draw_outline(axes, run.truth)
-    _draw_region(axes, run.world.area)
-    for number, path in enumerate(run.paths, 1):
+    _draw_outline(axes, account.truth)
+    _draw_region(axes, account.region)
+    for number, path in enumerate(account.paths, 1):
         x = [pose.x_m for pose in path.waypoints]
         y = [pose.y_m for pose in path.waypoints]
         colour = scan_colour(number)
@@ -48,36 +49,37 @@ def draw_trajectory(run: Run) -> bytes:
     return png(figure)
 
 
-def draw_ground(axes: Axes, run: Run) -> None:
+def draw_ground(axes: Axes, account: Account) -> None:
     """What every picture from above shows: the object's outline and the designated area."""
-    _draw_outline(axes, run.truth)
-    _draw_region(axes, run.world.area)
+    _draw_outline(axes, account.truth)
+    _draw_region(axes, account.region)
     _map_axes(axes)
 
 
-def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
+def draw_decision(account: Account, record: DecisionRecord, after: int) -> bytes:
     """The entropy map after a scan, with C_max and the candidates and what each would see."""
     figure = Figure(figsize=(10.2, 5.0))
     axes, bars = figure.subplots(1, 2, width_ratios=(1.5, 1))
-    low, high = run.world.area.region.low_m, run.world.area.region.high_m
+    low, high = account.region.low_m, account.region.high_m
     x0, x1, y0, y1 = low[0], high[0], low[1], high[1]
     axes.fill([x0, x1, x1, x0], [y0, y0, y1, y1], color=UNSEEN, zorder=-1)
+    assert record.entropy_bits is not None
     picture = axes.imshow(
-        snapshot.entropy_bits.T,
+        record.entropy_bits.T,
         origin="lower",
         extent=(x0, x1, y0, y1),
         cmap="magma",
     )
     figure.colorbar(picture, ax=axes, label="entropy above each cell, bits", shrink=0.8)
-    _draw_outline(axes, run.truth, "w")
-    look = snapshot.decision.look
+    _draw_outline(axes, account.truth, "w")
+    look = record.decision.look
     if look is not None:
         _draw_look(axes, look)
-        _draw_scores(bars, look, run.config.entropy.termination)
+        _draw_scores(bars, look)
     else:
         bars.set_axis_off()
         bars.text(0.5, 0.5, "no cluster", ha="center")
-    path = snapshot.decision.path
+    path = record.decision.path
     if path is not None:
         ends = (path.waypoints[0], path.waypoints[-1])
         axes.plot([p.x_m for p in ends], [p.y_m for p in ends], "-", color="#35d07f", lw=2)
@@ -87,10 +89,10 @@ def draw_decision(run: Run, snapshot: Snapshot, after: int) -> bytes:
     return png(figure)
 
 
-def draw_slices(run: Run) -> bytes:
+def draw_slices(account: Account) -> bytes:
     """The map against the solid truth in three heights and two upright sections."""
-    truth = run.truth
-    reconstructed = run.mapper.voxels.window(truth.box).occupied & truth.scored
+    truth = account.truth
+    reconstructed = account.voxels.window(truth.box).occupied & truth.scored
     actual = truth.solid & truth.scored
     kinds = reconstructed.astype(np.int8) + 2 * actual.astype(np.int8)
     colours = ListedColormap(["#f3f5f7", FALSE_POSITIVE, MISS, TRUE_POSITIVE])
@@ -99,7 +101,7 @@ def draw_slices(run: Run) -> bytes:
     panels = figure.subplots(1, 5)
     layers = np.flatnonzero(actual.any(axis=(0, 1)))
     heights = [int(layers[len(layers) * part // 6]) for part in (1, 3, 5) if len(layers)]
-    voxel_m = run.config.mapping.voxel_m
+    voxel_m = account.voxels.voxel_m
     for axes, layer in zip(panels, heights, strict=False):
         axes.imshow(
             kinds[:, :, layer].T, origin="lower", cmap=colours, vmin=0, vmax=3,
@@ -121,18 +123,20 @@ def draw_slices(run: Run) -> bytes:
     return png(figure)
 
 
-def draw_history(run: Run) -> bytes:
+def draw_history(result: ScanResult) -> bytes:
     """Scores and total entropy after each scan."""
     figure = Figure(figsize=(9.6, 3.4))
     scores, entropy = figure.subplots(1, 2)
-    scans = [entry.scan for entry in run.history]
+    scans = [entry.scan for entry in result.history]
     for kind, style in (("solid", "-o"), ("surface", "--s")):
         for name, colour in (("precision", "C0"), ("recall", "C1"), ("f1", "C2")):
-            values = [entry.metrics[kind]["exact"][name] for entry in run.history]
+            values = [entry.metrics[kind]["exact"][name] for entry in result.history]
             scores.plot(scans, values, style, color=colour, ms=4, label=f"{kind} {name}")
     scores.set(ylim=(0, 1), xlabel="scan", title="exact scores")
     scores.legend(fontsize=7, ncols=2)
-    entropy.plot(scans, [entry.total_entropy_bits / 1000 for entry in run.history], "-o", color=INK)
+    entropy.plot(
+        scans, [entry.total_entropy_bits / 1000 for entry in result.history], "-o", color=INK
+    )
     entropy.set(xlabel="scan", title="entropy of the designated area, kbit")
     for axes in (scores, entropy):
         axes.set_xticks(scans)
@@ -182,7 +186,8 @@ def _draw_look(axes: Axes, look: Look) -> None:
     axes.plot(x[look.best], y[look.best], "o", mfc="none", mec="#35d07f", ms=12, mew=2)
 
 
-def _draw_scores(axes: Axes, look: Look, termination: float) -> None:
+def _draw_scores(axes: Axes, look: Look) -> None:
+    termination = look.termination
     share = look.h_cluster / look.cluster.entropy
     colours = ["#35d07f" if i == look.best else "#7a8794" for i in range(len(share))]
     axes.bar(range(len(share)), share, color=colours)
@@ -210,8 +215,8 @@ def _draw_outline(axes: Axes, truth: GroundTruth, colour: str = INK) -> None:
     )
 
 
-def _draw_region(axes: Axes, area: SurveyArea) -> None:
-    (x0, y0, _), (x1, y1, _) = area.region.low_m, area.region.high_m
+def _draw_region(axes: Axes, region: Box) -> None:
+    (x0, y0, _), (x1, y1, _) = region.low_m, region.high_m
     axes.plot([x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0], ":", color="#7a8794", lw=1)
 
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
+from insonify.config.layers import named_tables, read_table
 from insonify.errors import ConfigError, MeshError
 from insonify.jit import parallel_kernel, prange
 from insonify.types import Float32, Float64, Int32
@@ -50,9 +49,8 @@ class Material:
 
 @cache
 def material_table() -> dict[str, dict[str, Any]]:
-    """The named materials as they stand in ``materials.toml``, source and all."""
-    text = resources.files("insonify.scene").joinpath("materials.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+    """The named materials as they stand in ``config/materials.toml``, source and all."""
+    return named_tables("materials")
 
 
 def material_named(name: str, own: Mapping[str, Material] | None = None) -> Material | None:
@@ -85,12 +83,8 @@ def read_materials(path: Path) -> dict[str, Material]:
     Raises:
         ConfigError: The file is missing, no TOML, or a value is unusable.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise ConfigError(f"{path}: cannot be read as a table of materials ({err})") from err
     found = {}
-    for name, row in table.items():
+    for name, row in read_table(path, "file of materials").items():
         known = {"reflectance", "lambert_db", "source"}
         if not isinstance(row, dict) or not set(row) <= known:
             raise ConfigError(f"{path}: [{name}] may hold {', '.join(sorted(known))} only")

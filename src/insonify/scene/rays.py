@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from embreex import rtcore_scene
-from embreex.mesh_construction import TriangleMesh
 
+from insonify.extras import optional
 from insonify.types import Array, Float32, Float64, Int32
 
 _RAYS_A_THREAD = 2048
@@ -42,13 +41,18 @@ class RayTracer:
     """
 
     def __init__(self, meshes: list[tuple[Float64, Int32]]) -> None:
-        """Build from (vertices (N, 3) metres, faces (M, 3)) pairs; a body is its index."""
+        """Build from (vertices (N, 3) metres, faces (M, 3)) pairs; a body is its index.
+
+        Raises:
+            MissingExtraError: The package embreex is not installed.
+        """
         corners = np.array([[v.min(axis=0), v.max(axis=0)] for v, _ in meshes])
         self._middle = (corners[:, 0].min(axis=0) + corners[:, 1].max(axis=0)) / 2
-        self._scene = rtcore_scene.EmbreeScene()
+        meshing = optional("embreex.mesh_construction", "simulation", "tracing rays")
+        self._scene = optional("embreex.rtcore_scene", "simulation", "tracing rays").EmbreeScene()
         for vertices, faces in meshes:
             local = np.ascontiguousarray(vertices - self._middle, dtype=np.float32)
-            TriangleMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
+            meshing.TriangleMesh(self._scene, local, np.ascontiguousarray(faces, dtype=np.int32))
         self._threads = numba.get_num_threads()  # one rule for rays and kernels
         self._pool: ThreadPoolExecutor | None = None
 

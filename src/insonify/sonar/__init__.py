@@ -87,7 +87,7 @@ class Sonar:
             image = form_physical(
                 echoes, geometry, self.device, self.physical, self.water, self.speckle, pose, rng
             )
-        return Ping(image, geometry, time_s)
+        return Ping(image, geometry, time_s, head_rad)
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from insonify.config.settings import Settings
 from insonify.frames import transform_from_pose
 from insonify.scene import Scene
 from insonify.scene.materials import material_colour
@@ -33,10 +34,8 @@ _DAYLIGHT = (0.55, 0.95, 1.0)
 _SAMPLES = 4
 
 
-class CameraSettings(BaseModel):
+class CameraSettings(Settings):
     """A camera that looks along its pose's forward axis."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     width_px: int = Field(960, ge=16, le=8192)
     height_px: int = Field(600, ge=16, le=8192)

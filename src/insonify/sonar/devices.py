@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from enum import StrEnum
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from insonify.config.layers import named_tables, read_table
+from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError
 from insonify.frames import compose
 from insonify.types import FanGeometry, Pose
@@ -28,7 +28,7 @@ class Kind(StrEnum):
     PROFILING = "profiling"
 
 
-class SonarDevice(BaseModel):
+class SonarDevice(Settings):
     """An imaging sonar: a fan of beams, each as high as the elevation field of view.
 
     - forward-looking (FLS): many beams side by side, an image a ping;
@@ -38,8 +38,6 @@ class SonarDevice(BaseModel):
 
     Defaults are those of Park et al. 2025, Table 1.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field("park-2025", description="what the device is called")
     kind: Kind = Field(
@@ -121,57 +119,54 @@ def _turned(tilt_rad: float, head_rad: float, kind: Kind) -> Pose:
 
 
 @cache
-def sonar_presets() -> dict[str, dict[str, Any]]:
-    """The presets' tables by name, as they stand in ``presets.toml``, source and all."""
-    text = resources.files("insonify.sonar").joinpath("presets.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+def sonar_presets() -> dict[str, Table]:
+    """The presets' tables by name, as they stand in ``config/sonars.toml``, source and all."""
+    return named_tables("sonars")
 
 
-def sonar_preset(name: str, tilt_deg: float = 0.0) -> SonarDevice:
-    """The preset of a name.
+def resolved_device(told: Any, tilt_deg: float = 0.0) -> Any:
+    """A device's settings as a user tells them, with those of the preset they name below them.
 
     Args:
-        name: Of the preset.
-        tilt_deg: How it is mounted, unless the preset says so itself.
-
-    Raises:
-        ConfigError: There is none of that name.
-    """
-    presets = sonar_presets()
-    if name not in presets:
-        known = ", ".join(sorted(presets))
-        raise ConfigError(f"there is no sonar named {name!r}; choose one of {known}")
-    fields = {key: value for key, value in presets[name].items() if key not in _ABOUT}
-    return SonarDevice(**({"name": name, "tilt_deg": tilt_deg} | fields))
-
-
-def read_device(path: Path) -> SonarDevice:
-    """A device described in a TOML file of its own.
-
-    Raises:
-        ConfigError: The file is missing, not TOML, or a figure is unknown or out of range.
-    """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as err:
-        raise ConfigError(f"{path}: there is no such sonar file; check the path") from err
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
-    try:
-        return SonarDevice.model_validate({"name": path.stem, **table})
-    except ValidationError as err:
-        first = err.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the description"
-        raise ConfigError(f"{path}: {key}: {first['msg'].lower()}; see `insonify sonars`") from err
-
-
-def named_device(name: str) -> SonarDevice:
-    """A preset, or the device described in a TOML file if the name ends in ``.toml``.
+        told: A table, which may name a ``preset`` (one known by name, or a TOML file of its own),
+            or the preset's name alone.  What is neither is left for the settings' own check.
+        tilt_deg: How it is mounted, unless the settings or the preset say so.
 
     Raises:
         ConfigError: There is no such preset or file.
     """
-    return read_device(Path(name)) if name.endswith(".toml") else sonar_preset(name)
+    if isinstance(told, str):
+        told = {"preset": told}
+    if not isinstance(told, dict):
+        return told
+    own = dict(told)
+    preset = own.pop("preset", None)
+    below: Table = {} if preset is None else _preset_table(str(preset))
+    return {"tilt_deg": tilt_deg} | below | own
+
+
+def named_device(name: str, tilt_deg: float = 0.0) -> SonarDevice:
+    """A preset, or the device described in a TOML file if the name ends in ``.toml``.
+
+    Raises:
+        ConfigError: There is no such preset or file, or a figure is unknown or out of range.
+    """
+    where = name if name.endswith(".toml") else ""
+    table = resolved_device(name, tilt_deg)
+    return validated(SonarDevice, table, where=where, see="`insonify sonars`")
+
+
+def _preset_table(name: str) -> Table:
+    if name.endswith(".toml"):
+        table = {"name": Path(name).stem, **read_table(Path(name), "sonar file")}
+    elif name in sonar_presets():
+        table = {"name": name, **sonar_presets()[name]}
+    else:
+        raise ConfigError(
+            f"there is no sonar named {name!r}"
+            f"{did_you_mean(name, sonar_presets(), '`insonify sonars`')}"
+        )
+    return {key: value for key, value in table.items() if key not in _ABOUT}
 
 
 def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
@@ -193,14 +188,3 @@ def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
         )
     except ValidationError as err:
         raise ConfigError(f"{name}: no forward-looking sonar has this fan ({geometry})") from err
-
-
-def with_preset(table: dict[str, Any]) -> dict[str, Any]:
-    """A device's settings; if they name a ``preset``, its settings below their own.
-
-    Raises:
-        ConfigError: There is no preset of that name.
-    """
-    own = dict(table)
-    preset = own.pop("preset", None)
-    return own if preset is None else sonar_preset(str(preset)).model_dump(mode="json") | own

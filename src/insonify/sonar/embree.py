@@ -17,8 +17,8 @@ from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
 from insonify.sonar.histogram import BEYOND, EchoHistogram, Response, Samples, gather
 from insonify.sonar.multipath import mirrored_samples
+from insonify.sonar.patches import Grid, View, even_grid
 from insonify.sonar.sampling import SamplingSettings, even_samples
-from insonify.sonar.view import Grid, View, even_grid
 from insonify.types import Bool, FanGeometry, Float32, Float64, Int32, Int64, Pose
 
 

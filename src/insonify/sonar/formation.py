@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from insonify.config.settings import Settings
 from insonify.sonar.histogram import FULL_CELL, EchoHistogram
 from insonify.types import Float32
 
 
-class ImageSettings(BaseModel):
+class ImageSettings(Settings):
     """How echoes become an image."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sigmoid_slope: float = Field(6.0, gt=0, le=1000, description="slope of S in eq. 1")
     sigmoid_centre: float = Field(0.3, ge=0, le=1, description="intensity at which S is 0.5")

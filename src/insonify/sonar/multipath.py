@@ -15,7 +15,7 @@ import numpy as np
 
 from insonify.scene.rays import Hits
 from insonify.sonar.histogram import BEYOND, Samples
-from insonify.sonar.view import Grid, View
+from insonify.sonar.patches import Grid, View
 from insonify.types import Array, Float32, Float64
 
 _OFF_M = 1e-3

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from insonify.config.settings import Settings
 from insonify.frames import transform_from_pose
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.histogram import EchoHistogram
@@ -38,14 +39,12 @@ class Speckle(StrEnum):
     NONE = "none"
 
 
-class PhysicalSettings(BaseModel):
+class PhysicalSettings(Settings):
     """The stages of the physical model.
 
     No maker publishes source levels of the devices here; the defaults give an imaging sonar whose
     seabed echoes drown in noise at some 100 m at 720 kHz.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     source_level_db: float = Field(200.0, ge=0, le=260, description="SL, dB re 1 uPa at 1 m")
     noise_level_db: float = Field(

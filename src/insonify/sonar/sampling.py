@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import warnings
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from insonify.config.settings import Settings
 from insonify.types import FanGeometry
 
 _BINS_HIGH, _BINS_WIDE = 5.0, 24.0
@@ -18,10 +19,8 @@ class UndersamplingWarning(UserWarning):
     """The sampling asked for is coarser than the device's range bins can bear."""
 
 
-class SamplingSettings(BaseModel):
+class SamplingSettings(Settings):
     """How finely the beams are sampled."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     across_beam: int = Field(
         0, ge=0, le=512, description="samples across a beam's azimuth; 0: chosen from the bins"

@@ -9,25 +9,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from insonify.frames import transform_from_pose
 from insonify.sonar.devices import Kind, SonarDevice
-from insonify.types import FanGeometry, Float32, Float64, Ping, Pose
+from insonify.types import FanGeometry, Float32, Float64, Ping, Pose, PosedPing
 
 _PARTS_ACROSS, _PARTS_ALONG = 8, 2
 """A cell is de-skewed as so many points."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HeadPing:
-    """One ping of a head that turns: where the head looked and where the vehicle was."""
-
-    ping: Ping
-    head_rad: float
-    pose: Pose
 
 
 def head_angles(device: SonarDevice) -> Float64:
@@ -48,14 +38,14 @@ def head_at(device: SonarDevice, number: int) -> float:
 
 
 def sweep(
-    ping: Callable[[Pose, float, float], Ping],
+    ping: Callable[[Pose, float, float], PosedPing],
     device: SonarDevice,
     pose_at: Callable[[float], Pose],
     *,
     start_s: float = 0.0,
     number: int = 0,
     sound_speed_mps: float = 1500.0,
-) -> Iterator[HeadPing]:
+) -> Iterator[PosedPing]:
     """One turn of a scanning head.
 
     Args:
@@ -71,20 +61,20 @@ def sweep(
     for step in range(steps):
         time_s = start_s + step * interval_s
         head_rad, pose = head_at(device, number * steps + step), pose_at(time_s)
-        yield HeadPing(ping(pose, head_rad, time_s), head_rad, pose)
+        yield ping(pose, head_rad, time_s)
 
 
-def polar_image(turn: Sequence[HeadPing], device: SonarDevice) -> Ping:
+def polar_image(turn: Sequence[PosedPing], device: SonarDevice) -> Ping:
     """The pings of a turn side by side, from port to starboard, as if the vehicle had rested.
 
     The image is that of a fan as wide as the turn, with a beam a step.
     """
-    order = np.argsort([-one.head_rad for one in turn], kind="stable")
+    order = np.argsort([-one.ping.head_rad for one in turn], kind="stable")
     image = np.concatenate([turn[k].ping.image for k in order], axis=1)
     return Ping(image, _fan(turn, device), turn[0].ping.time_s)
 
 
-def deskewed_image(turn: Sequence[HeadPing], device: SonarDevice, reference: Pose) -> Ping:
+def deskewed_image(turn: Sequence[PosedPing], device: SonarDevice, reference: Pose) -> Ping:
     """The same with each ping where it was taken, seen from a reference pose.
 
     Echoes are taken to lie in the plane in which the head turns; what leaves that plane is put
@@ -100,7 +90,8 @@ def deskewed_image(turn: Sequence[HeadPing], device: SonarDevice, reference: Pos
     range_m = (fan.bin_ranges_m[:, None] + along * fan.bin_m).reshape(-1)
     total, count = np.zeros(fan.bins * fan.beams), np.zeros(fan.bins * fan.beams)
     for one in turn:
-        angle = one.head_rad + across * width_rad
+        assert one.pose is not None
+        angle = one.ping.head_rad + across * width_rad
         ray = np.stack([np.cos(angle), np.sin(angle), 0 * angle, 0 * angle])
         plane_from_sonar = (
             plane_from_world @ transform_from_pose(one.pose) @ transform_from_pose(fan.mount)
@@ -120,7 +111,7 @@ def deskewed_image(turn: Sequence[HeadPing], device: SonarDevice, reference: Pos
     return Ping(image.reshape(fan.bins, fan.beams), fan, turn[0].ping.time_s)
 
 
-def _fan(turn: Sequence[HeadPing], device: SonarDevice) -> FanGeometry:
+def _fan(turn: Sequence[PosedPing], device: SonarDevice) -> FanGeometry:
     """The fan that a whole turn amounts to."""
     return dataclasses.replace(
         device.geometry,
@@ -138,23 +129,28 @@ def sidescan_line(port: Ping, starboard: Ping) -> Float32:
     return np.concatenate([port.image[::-1, 0], starboard.image[:, 0]])
 
 
-def soundings(ping: Ping, pose: Pose, threshold: float) -> Float64:
+def waterfall(lines: Sequence[Float32]) -> Float32:
+    """The lines of a side-scan image, (lines, 2 x bins), port on the left, the first line below."""
+    return np.stack(lines[::-1])
+
+
+def soundings(posed: PosedPing, threshold: float) -> Float64:
     """What a profiling sonar measures: the point of the strongest echo of each beam, world frame.
 
     Args:
-        ping: Its image.
-        pose: Of the vehicle.
+        posed: Its image and the vehicle's pose.
         threshold: Beams in which nothing is stronger give no sounding.
 
     Returns:
         (N, 3) metres, N at most the number of beams.
     """
-    geometry = ping.geometry
+    ping, geometry = posed.ping, posed.ping.geometry
+    assert posed.pose is not None
     strongest = ping.image.argmax(axis=0)
     heard = ping.image.max(axis=0) > threshold
     azimuth = geometry.beam_azimuths_rad[heard]
     range_m = geometry.bin_ranges_m[strongest[heard]]
     local = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth], axis=1) * range_m[:, None]
-    world_from_beam = transform_from_pose(pose) @ transform_from_pose(geometry.mount)
+    world_from_beam = transform_from_pose(posed.pose) @ transform_from_pose(geometry.mount)
     points: Float64 = local @ world_from_beam[:3, :3].T + world_from_beam[:3, 3]
     return points

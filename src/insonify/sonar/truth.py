@@ -10,8 +10,8 @@ from insonify.frames import world_from_sonar
 from insonify.scene import Scene
 from insonify.scene.rays import Hits
 from insonify.sonar.histogram import BEYOND, Response, Samples, gather, strongest
+from insonify.sonar.patches import View, even_grid
 from insonify.sonar.sampling import SamplingSettings, even_samples
-from insonify.sonar.view import View, even_grid
 from insonify.types import Bool, FanGeometry, Float32, Int32, Pose
 
 _COLOURS = (

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from insonify.config.settings import Settings
 
 
 class Absorption(StrEnum):
@@ -16,10 +18,8 @@ class Absorption(StrEnum):
     NONE = "none"
 
 
-class WaterSettings(BaseModel):
+class WaterSettings(Settings):
     """The water between sonar and scene."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sound_speed_mps: float = Field(1500.0, ge=1300, le=1700, description="speed of sound")
     temperature_c: float = Field(10.0, ge=-2, le=40)

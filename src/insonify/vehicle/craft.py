@@ -8,15 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from insonify.frames import pose_from_attitude, rotation_from_attitude, wrapped
-from insonify.planning.decision import StopReason
-from insonify.types import Float64, Pose
-from insonify.vehicle.control import Belief, Controller
-from insonify.vehicle.currents import Current
+from insonify.types import Float64, Pose, StopReason
+from insonify.vehicle.autopilot.control import Controller, Motion
+from insonify.vehicle.autopilot.estimator import Estimator
+from insonify.vehicle.autopilot.guidance import Follower
 from insonify.vehicle.description import VehicleDescription
-from insonify.vehicle.dynamics import advance, hydro, resting_state
-from insonify.vehicle.estimator import Estimator
-from insonify.vehicle.guidance import Follower
-from insonify.vehicle.sensors import Clock, Compass, Depth, Dvl, Imu, Sounder
+from insonify.vehicle.instruments import Clock, RayQuery
+from insonify.vehicle.model import hydro
+from insonify.vehicle.plant.currents import Current
+from insonify.vehicle.plant.dynamics import advance, resting_state
+from insonify.vehicle.plant.sensors import Compass, Depth, Dvl, Imu
 from insonify.vehicle.settings import VehicleSettings
 
 CONTROL_S = 0.05
@@ -65,7 +66,8 @@ class Track:
 
     Attributes:
         moments: Four a second.
-        readings: What its IMU and Doppler log measured; none under perfect navigation.
+        readings: What its IMU and Doppler log measured since this was last emptied; none under
+            perfect navigation.
         length_m: How far it flew.
     """
 
@@ -75,7 +77,7 @@ class Track:
 
 
 def pose_errors(track: Track) -> dict[str, float]:
-    """How far belief was from truth: position (m) and heading (degrees), mean, largest, at last."""
+    """Errors of the estimate: position (m) and heading (degrees), mean, largest, at last."""
     moments = track.moments
     away = [math.dist(m.true.position_m, m.estimated.position_m) for m in moments] or [0.0]
     turned = [
@@ -98,7 +100,7 @@ class Craft:
         vehicle: VehicleDescription,
         settings: VehicleSettings,
         start: Pose,
-        sound: Sounder,
+        look: RayQuery,
         rng: np.random.Generator,
     ) -> None:
         """At rest at a known start.
@@ -107,7 +109,7 @@ class Craft:
             vehicle: What it is.
             settings: How it is flown and what it senses.
             start: Its pose, known to it.
-            sound: How the Doppler log's rays meet the world.
+            look: How the Doppler log's rays meet the world.
             rng: All its randomness: current and sensors.
         """
         self.vehicle, self.settings = vehicle, settings
@@ -127,7 +129,7 @@ class Craft:
         self._depth_clock = Clock(sensors.depth.rate_hz)
         self._compass_clock = Clock(sensors.compass.rate_hz)
         self._log_clock = Clock(_LOG_HZ)
-        self._sound = sound
+        self._look = look
         self._steps = round(CONTROL_S * sensors.imu.rate_hz)
         filtered = settings.navigation == "dvl"
         self.estimator = Estimator(sensors, start) if filtered else None
@@ -164,20 +166,20 @@ class Craft:
         pose_states = [0, 1, 2, 6, 7, 8]
         return self.estimator.covariance[np.ix_(pose_states, pose_states)]
 
-    def belief(self) -> Belief:
-        """What it believes of its motion."""
+    def motion(self) -> Motion:
+        """How it believes to move."""
         if self.estimator is not None:
-            return self.estimator.belief()
+            return self.estimator.motion()
         turn = rotation_from_attitude(self._state[3:7])
         yaw_rad = float(np.arctan2(turn[1, 0], turn[0, 0]))
         velocity = turn @ self._state[7:10]
-        return Belief(self._state[:3].copy(), velocity, turn, self._state[10:13].copy(), yaw_rad)
+        return Motion(self._state[:3].copy(), velocity, turn, self._state[10:13].copy(), yaw_rad)
 
     def tick(self) -> None:
         """Steer, move and measure for one period."""
-        belief = self.belief()
-        goal = self.follower.step(belief.position_m, CONTROL_S)
-        thrusts = self._controller.thrusts(belief, goal, CONTROL_S)
+        motion = self.motion()
+        goal = self.follower.step(motion.position_m, CONTROL_S)
+        thrusts = self._controller.thrusts(motion, goal, CONTROL_S)
         before = self._state[:3].copy()
         water = self._current.over(CONTROL_S)
         period_s = CONTROL_S / self._steps
@@ -217,7 +219,7 @@ class Craft:
     def _bottom_track(self) -> Float64:
         state = self._state
         turn = rotation_from_attitude(state[3:7])
-        readings = self._dvl.sample(state[:3], turn, state[7:10], state[10:13], self._sound)
+        readings = self._dvl.sample(state[:3], turn, state[7:10], state[10:13], self._look)
         ranges_m = self._dvl.ranges_m
         if self.failed("dvl"):
             readings[:] = np.nan

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from functools import cache
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from insonify.config.layers import named_tables, read_table
+from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -23,10 +23,8 @@ Six = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, Not
 MOST_THRUSTERS = 16
 
 
-class Thruster(BaseModel):
+class Thruster(Settings):
     """A thruster: where it sits and pushes (body frame: forward, left, up), and its limits."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     position_m: Vector
     yaw_deg: Finite = Field(0.0, description="direction of positive thrust, turned to the left")
@@ -47,13 +45,11 @@ def _reach(thruster: Thruster) -> tuple[float, float, float, float]:
     return surge, sway, -math.sin(pitch), x * sway - y * surge
 
 
-class VehicleDescription(BaseModel):
+class VehicleDescription(Settings):
     """Fossen's 6-DOF model of a vehicle; diagonal matrices are given by their diagonals.
 
     Order: surge, sway, heave, roll, pitch, yaw.  Signs do not depend on whether z points up.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     size_m: tuple[Positive, Positive, Positive] = Field(description="length, width, height")
@@ -95,10 +91,9 @@ class VehicleDescription(BaseModel):
 
 
 @cache
-def vehicles() -> dict[str, dict[str, Any]]:
-    """The vehicles' tables by name, as they stand in ``vehicles.toml``, source and all."""
-    text = resources.files("insonify.vehicle").joinpath("vehicles.toml").read_text("utf-8")
-    return tomllib.loads(text)
+def vehicles() -> dict[str, Table]:
+    """The vehicles' tables by name, as they stand in ``config/vehicles.toml``, source and all."""
+    return named_tables("vehicles")
 
 
 def vehicle_named(name: str) -> VehicleDescription:
@@ -108,33 +103,17 @@ def vehicle_named(name: str) -> VehicleDescription:
         ConfigError: There is none of that name, or the file does not describe a vehicle.
     """
     if name in vehicles():
-        return _validated(name, name, vehicles()[name])
+        return _described(name, name, vehicles()[name])
     path = Path(name)
     if path.suffix != ".toml":
-        known = ", ".join(sorted(vehicles()))
         raise ConfigError(
-            f"there is no vehicle named {name!r}; choose one of {known}, or give a TOML file"
+            f"there is no vehicle named {name!r}{did_you_mean(name, vehicles())}, or give a TOML "
+            "file"
         )
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as err:
-        raise ConfigError(f"{path}: there is no such vehicle file; check the path") from err
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
-    return _validated(path.stem, str(path), table)
+    return _described(path.stem, str(path), read_table(path, "vehicle file"))
 
 
-def _validated(name: str, where: str, table: dict[str, Any]) -> VehicleDescription:
+def _described(name: str, where: str, table: Table) -> VehicleDescription:
     fields = {"name": name} | {key: value for key, value in table.items() if key != "source"}
-    try:
-        return VehicleDescription.model_validate(fields)
-    except ValidationError as err:
-        first = err.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        given = first.get("input")
-        value = "" if isinstance(given, dict | list) else f", not {given!r}"
-        raise ConfigError(
-            f"{where}: {key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{value}; "
-            "docs/vehicle.md lists the keys of a vehicle"
-        ) from err
+    see = "docs/vehicle.md for the keys of a vehicle"
+    return validated(VehicleDescription, fields, where=where, see=see)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from insonify.vehicle.control import ControlSettings
-from insonify.vehicle.currents import CurrentSettings
-from insonify.vehicle.guidance import GuidanceSettings
-from insonify.vehicle.sensors import SensorSettings
+from insonify.config.settings import Settings
+from insonify.vehicle.autopilot.control import ControlSettings
+from insonify.vehicle.autopilot.guidance import GuidanceSettings
+from insonify.vehicle.instruments import SensorSettings
+from insonify.vehicle.plant.currents import CurrentSettings
 
 TELEPORT = "none"
 
 
-class FaultSettings(BaseModel):
+class FaultSettings(Settings):
     """A sensor that fails in mid-mission."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sensor: Literal["none", "dvl", "imu", "sonar"] = Field(
         "none", description="dvl: no bottom lock; imu: no numbers; sonar: silent"
@@ -25,10 +24,8 @@ class FaultSettings(BaseModel):
     at_s: float = Field(0.0, ge=0, le=1e7, description="from this time on")
 
 
-class VehicleSettings(BaseModel):
+class VehicleSettings(Settings):
     """The vehicle that flies the scans, or none."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str = Field(
         TELEPORT, min_length=1, description="none (poses are taken as flown), a vehicle, or a file"

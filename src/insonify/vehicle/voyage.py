@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from insonify.mapping.voxels import VoxelMap
-from insonify.planning.decision import StopReason
-from insonify.types import Ping, Pose, ScanPath
-from insonify.vehicle.control import settled
+from insonify.types import Ping, Pose, PosedPing, ScanPath, StopReason
+from insonify.vehicle.autopilot.control import settled
+from insonify.vehicle.autopilot.guidance import route_length_m
+from insonify.vehicle.autopilot.routing import clear_route, is_clear, nose_first, obstacles_near
 from insonify.vehicle.craft import Craft
 from insonify.vehicle.description import VehicleDescription
-from insonify.vehicle.guidance import route_length_m
-from insonify.vehicle.routing import clear_route, is_clear, nose_first, obstacles_near
-from insonify.vehicle.sensors import Clock, Sounder
+from insonify.vehicle.instruments import Clock, RayQuery
 from insonify.vehicle.settings import VehicleSettings
 
 _LOOK_S = 0.25
@@ -26,8 +26,50 @@ _SILENT_PINGS = 5
 _HURRY_S = 60.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """The true world, as far as it comes to a vehicle.
+
+    Attributes:
+        insonify: The sonar in it, from a true pose; the believed one is for its records.
+        look: What the Doppler log's rays find.
+        touches: Whether the hull, at a true pose, touches something.
+    """
+
+    insonify: Callable[[Pose, Pose], Ping]
+    look: RayQuery
+    touches: Callable[[Pose], bool]
+
+
+class Trouble:
+    """Reasons to end a flight here and now."""
+
+    def __init__(self, touches: Callable[[Pose], bool]) -> None:
+        """None yet, and all the time there is.
+
+        Args:
+            touches: The world's answer to a true pose.
+        """
+        self._touches = touches
+        self._looks = Clock(1.0 / _LOOK_S)
+        self._late_s = math.inf
+
+    def allow(self, craft: Craft, route: tuple[Pose, ...]) -> None:
+        """Give a route three times as long as it should take, and a minute."""
+        length_m = route_length_m((craft.believed_pose, *route))
+        self._late_s = craft.time_s + 3.0 * length_m / craft.settings.guidance.speed_m_s + _HURRY_S
+
+    def met(self, craft: Craft) -> StopReason | None:
+        """Why to stop, if there is a reason."""
+        if craft.lost is not None:
+            return craft.lost
+        if self._looks.due(craft.time_s) and self._touches(craft.true_pose):
+            return StopReason.COLLISION
+        return StopReason.TOO_SLOW if craft.time_s > self._late_s else None
+
+
 class Voyage:
-    """Carries the sonar along one scan after another (a `mission.Carrier`).
+    """Carries the sonar along one scan after another (a `mission.loop.Carrier`).
 
     Between scans the vehicle flies to where the next begins; the sonar pings, at its own rate, on
     the scans alone.  Routes keep clear of what the map knows.
@@ -38,9 +80,7 @@ class Voyage:
         vehicle: VehicleDescription,
         settings: VehicleSettings,
         clearance_m: float,
-        insonify: Callable[[Pose, Pose], Ping],
-        sound: Sounder,
-        collides: Callable[[Pose], bool],
+        world: Surroundings,
         rng: np.random.Generator,
         pace: Callable[[float], None] = lambda time_s: None,
     ) -> None:
@@ -50,21 +90,19 @@ class Voyage:
             vehicle: What flies.
             settings: How it flies.
             clearance_m: Least distance between its hull and anything the map knows.
-            insonify: The sonar in its world, from a true pose; the believed one is for its records.
-            sound: The world, to the Doppler log.
-            collides: The world's answer to a true pose: whether the hull touches something.
+            world: What it is in.
             rng: The vehicle's randomness.
             pace: Called with the time of every tick; it may wait.
         """
         self.vehicle, self.settings = vehicle, settings
         self.craft: Craft | None = None
         self._clearance_m = clearance_m + vehicle.radius_m
-        self._insonify, self._sound, self._collides = insonify, sound, collides
+        self._world = world
         self._rng, self._pace = rng, pace
         self._pings = Clock(settings.ping_hz)
-        self._looks = Clock(1.0 / _LOOK_S)
+        self._trouble = Trouble(world.touches)
 
-    def carry(self, path: ScanPath, voxels: VoxelMap) -> Iterator[tuple[Pose, Ping] | StopReason]:
+    def carry(self, path: ScanPath, voxels: VoxelMap) -> Iterator[PosedPing | StopReason]:
         """Fly to a scan and along it.
 
         Yields:
@@ -73,7 +111,7 @@ class Voyage:
         """
         first = path.waypoints[0]
         if self.craft is None:
-            self.craft = Craft(self.vehicle, self.settings, first, self._sound, self._rng)
+            self.craft = Craft(self.vehicle, self.settings, first, self._world.look, self._rng)
         craft = self.craft
         route = self._route(craft, (first,), voxels)
         if route is None:
@@ -91,24 +129,24 @@ class Voyage:
 
     def _fly(
         self, craft: Craft, route: tuple[Pose, ...], voxels: VoxelMap, *, scanning: bool
-    ) -> Iterator[tuple[Pose, Ping] | StopReason]:
+    ) -> Iterator[PosedPing | StopReason]:
         """Follow a route to its end; pings come only while scanning."""
         craft.follower.follow(route)
-        late_s = craft.time_s + self._patience_s(craft, route)
+        self._trouble.allow(craft, route)
         heard_s, pinged = craft.time_s, False
         plans = Clock(1.0 / _PLAN_S, craft.time_s + _PLAN_S)
         while not self._arrived(craft, scanning) or (scanning and not pinged):
             craft.tick()
             self._pace(craft.time_s)
-            stop = self._trouble(craft, late_s)
+            stop = self._trouble.met(craft)
             if stop is not None:
                 yield stop
                 return
             if scanning and self._pings.due(craft.time_s) and not craft.failed("sonar"):
                 heard_s, pinged = craft.time_s, True
-                believed = craft.believed_pose
-                ping = self._insonify(craft.true_pose, believed)
-                yield believed, replace(ping, time_s=craft.time_s)
+                true, believed = craft.true_pose, craft.believed_pose
+                ping = replace(self._world.insonify(true, believed), time_s=craft.time_s)
+                yield PosedPing(ping, believed, true)
             if scanning and craft.time_s - heard_s > _SILENT_PINGS / self.settings.ping_hz:
                 yield StopReason.SILENT
                 return
@@ -118,21 +156,13 @@ class Voyage:
                     yield StopReason.NO_WAY
                     return
                 craft.follower.follow(around)
-                late_s = craft.time_s + self._patience_s(craft, around)
+                self._trouble.allow(craft, around)
 
     def _arrived(self, craft: Craft, scanning: bool) -> bool:
         if not craft.follower.finished:
             return False
         within_m = 0.3 if scanning else 0.15
-        return settled(craft.belief(), craft.follower.set_point, within_m, 0.06)
-
-    def _trouble(self, craft: Craft, late_s: float) -> StopReason | None:
-        """Why to stop here and now, if there is a reason."""
-        if craft.lost is not None:
-            return craft.lost
-        if self._looks.due(craft.time_s) and self._collides(craft.true_pose):
-            return StopReason.COLLISION
-        return StopReason.TOO_SLOW if craft.time_s > late_s else None
+        return settled(craft.motion(), craft.follower.set_point, within_m, 0.06)
 
     def _route(
         self, craft: Craft, waypoints: tuple[Pose, ...], voxels: VoxelMap
@@ -147,8 +177,3 @@ class Voyage:
         obstacles = obstacles_near(voxels, (here, *ahead), self._clearance_m)
         legs = zip((here, *ahead), ahead, strict=False)
         return all(is_clear(a, b, obstacles, self._clearance_m) for a, b in legs)
-
-    def _patience_s(self, craft: Craft, route: tuple[Pose, ...]) -> float:
-        """How long a route may take: three times as long as it should, and a minute."""
-        length_m = route_length_m((craft.believed_pose, *route))
-        return 3.0 * length_m / self.settings.guidance.speed_m_s + _HURRY_S

@@ -11,13 +11,14 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 
+from insonify.evaluation import Solid
 from insonify.frames import quaternion_from_rotation, transform_from_pose, world_from_sonar
 from insonify.planning.decision import Look
 from insonify.report.pictures import scan_colour
 from insonify.types import Array, Float32, Float64, Pose
 from insonify.view import shapes
 from insonify.view.cubes import Cubes
-from insonify.view.story import Moment, Solid
+from insonify.view.story import Moment
 
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 """Where a sonar is drawn of which nobody says where it was."""

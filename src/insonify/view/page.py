@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from insonify.errors import OutputError
+from insonify.extras import optional
 from insonify.frames import world_from_sonar
-from insonify.io.extras import optional
-from insonify.mission import Step
-from insonify.runs import Run
+from insonify.mission.loop import Step
+from insonify.mission.run import Run
 from insonify.types import Float64, Ping
 from insonify.view import layers, shapes, words
 from insonify.view.story import Story

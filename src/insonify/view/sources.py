@@ -1,36 +1,53 @@
-"""Stories of what lies on the disk: a result folder, a map, or recordings."""
+"""Stories of what lies on the disk: a result folder, a map, or recordings; nothing is run again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-from insonify.errors import ConfigError, MapFileError, RecordingError
+import numpy as np
+
+from insonify.config.layers import read_table
+from insonify.config.settings import validated
+from insonify.errors import InsonifyError, MapFileError, RecordingError
 from insonify.io.maps import LOADED, load_map
 from insonify.io.recordings import open_recording
-from insonify.io.recordings.recording import Reading, RecordedPing, Recording
-from insonify.io.recordings.remembering import RECORDING, remembered
-from insonify.io.unfinished import CONFIG
-from insonify.mapping.bayes import MappingSettings
-from insonify.mission import Mapped, Step
-from insonify.replay import Replay, around_occupied, map_recordings
-from insonify.runs import Run, execute
-from insonify.scenarios import read_config, scenario_config
-from insonify.types import Box
+from insonify.io.recordings.recording import Reading, Recording
+from insonify.mapping.factory import MAPPERS, make_mapper
+from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mapping.voxels import VoxelMap
+from insonify.mission.account import Account
+from insonify.mission.remap import Remap, map_recordings
+from insonify.results.files import CONFIG
+from insonify.results.recorder import RECORDING
+from insonify.results.scan import is_scan, load_scan
+from insonify.types import Box, PosedPing
 from insonify.view.story import Story, Thinned
 
 MOST_PICTURES = 200
 """Of the map of a recording, whose length is known."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """A story at its beginning, and what tells the rest of it.
+
+    Attributes:
+        story: What can be shown at once.
+        count: How many pings there are to come.
+        go_on: Reads on until the end; may run while the page is open.  It is asked whether to stop
+            with every ping, and says how many there are done and in all.
+    """
+
+    story: Story
+    count: int
+    go_on: Callable[[Callable[[int, int], None], Callable[[], bool]], None]
+
+
 def open_story(
-    path: Path,
-    reading: Reading,
-    settings: MappingSettings,
-    region: Box | None = None,
-    *,
-    watch: Callable[[str, int, int], None] = lambda name, done, count: None,
-) -> Story:
+    path: Path, reading: Reading, settings: MappingSettings, region: Box | None = None
+) -> Told:
     """The story of a run's folder, a map, or a recording.
 
     Args:
@@ -38,49 +55,26 @@ def open_story(
         reading: What the user says of a recording.
         settings: How a recording is mapped.
         region: Where uncertainty counts; by default the run's own, or around what is occupied.
-        watch: Called with what is read, how many pings of it are, and how many there are.
 
     Raises:
         InsonifyError: It is none of these, or damaged.
     """
-    if (path / RECORDING).is_file() and (path / CONFIG).is_file():
-        return run_story(path, watch=watch)
+    if is_scan(path):
+        return _scan_story(path)
+    if (path / RECORDING).is_file() and (path / CONFIG).is_file():  # broken off, or an older one
+        table = read_table(path / CONFIG).get("mapping", {})
+        settings, path = validated(MappingSettings, table), path / RECORDING
     if (path / "map.npz").is_file() or (path.suffix in LOADED and _is_map(path)):
-        return map_story(path, region)
-    return recording_story(open_recording(path, reading), settings, region, watch=watch)
-
-
-def run_story(
-    folder: Path, *, watch: Callable[[str, int, int], None] = lambda name, done, count: None
-) -> Story:
-    """A run lived through again from its recording: the same pings, so the same decisions.
-
-    Raises:
-        InsonifyError: The recording is damaged, or the run's world is no more.
-    """
-    layers = read_config(folder / CONFIG)
-    if "scenario" not in layers:
-        raise ConfigError(f"{folder / CONFIG}: does not name its scenario")
-    config = scenario_config(str(layers["scenario"]), [layers, {"renderer": "embree"}])
-    count, pings = remembered(folder)
-    if not count:
-        raise RecordingError(f"{folder / RECORDING}: there are no pings in it")
-    story = Story(f"{config.scenario}, {config.planner} planner, seed {config.seed}")
-    story.maps = Thinned(stride=1 + count // MOST_PICTURES)
-    reached = 0
-
-    def tell(run: Run, step: Step) -> None:
-        nonlocal reached
-        reached = run.pings
-        if reached > count:  # a run that was broken off would go on here
-            return
-        story.watch(run, step)
-        if reached == count and isinstance(step, Mapped):
-            story.add_map(run.mapper.voxels, run.world.area.region)
-        watch(folder.name, reached, count)
-
-    execute(config, remembered=pings, watch=tell, should_stop=lambda: reached > count)
-    return story
+        return Told(map_story(path, region), 0, lambda watch, should_stop: None)
+    recording = open_recording(path, reading)
+    story = Story(path.resolve().name)
+    return Told(
+        story,
+        recording.count,
+        lambda watch, should_stop: _tell_recording(
+            story, recording, settings, region, watch, should_stop
+        ),
+    )
 
 
 def map_story(path: Path, region: Box | None = None) -> Story:
@@ -91,43 +85,119 @@ def map_story(path: Path, region: Box | None = None) -> Story:
     """
     voxels = load_map(path)
     story = Story(path.resolve().name)
-    story.add_map(voxels, region or around_occupied(voxels))
+    story.add_map(voxels, region or voxels.around_occupied())
     return story
 
 
-def recording_story(
+def _scan_story(folder: Path) -> Told:
+    """A run as its files tell it: decisions and truth at once, its pings as they are read."""
+    account = load_scan(folder)
+    result = account.result
+    story = Story(f"{result.scenario}, {result.planner} planner, seed {result.seed}")
+    story.world, story.region = account.solids, account.region
+    story.end = result.stop_reason.sentence
+    story.decisions = [(record.pings, record.decision) for record in account.decisions]
+    return Told(
+        story,
+        result.pings,
+        lambda watch, should_stop: _tell_scan(story, account, folder, watch, should_stop),
+    )
+
+
+def _tell_scan(
+    story: Story,
+    account: Account,
+    folder: Path,
+    watch: Callable[[int, int], None],
+    should_stop: Callable[[], bool],
+) -> None:
+    """Read a run's pings, and map them as its mapper did, so that the map can be seen to grow.
+
+    Where that mapper is not one of ours, or maps otherwise today, the map is shown as it was saved.
+    """
+    recording = open_recording(folder / RECORDING)
+    mapper = _mapper_again(folder)
+    story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
+    for number, (scan, posed) in enumerate(_by_scan(account, recording), 1):
+        if mapper is not None and posed.pose is not None:
+            mapper.integrate(posed.ping, posed.pose)
+        story.add_ping(posed, scan)
+        if mapper is not None and story.maps.wants(number) and number < recording.count:
+            story.add_map(mapper.voxels, account.region)
+        story.changed()
+        watch(number, recording.count)
+        if should_stop():
+            return
+    if mapper is not None and not _same(mapper.voxels, account.voxels):
+        story.maps = Thinned()
+    story.add_map(account.voxels, account.region)
+    story.changed()
+
+
+def _by_scan(account: Account, recording: Recording) -> Iterator[tuple[int, PosedPing]]:
+    """The pings of a run's recording with the number of their scan."""
+    scans = [
+        number for number, path in enumerate(account.paths, 1) for _ in range(len(path.waypoints))
+    ]
+    for number, posed in enumerate(recording):
+        yield (scans[number] if number < len(scans) else len(account.paths)), posed
+
+
+def _mapper_again(folder: Path) -> Mapper | None:
+    """The mapper of a run, empty again; None if it is a user's own, whose code is not run here."""
+    table = read_table(folder / CONFIG)
+    name = str(table.get("mapper", "bayes"))
+    if name not in MAPPERS:
+        return None
+    try:
+        return make_mapper(name, validated(MappingSettings, table.get("mapping", {})))
+    except InsonifyError:
+        return None
+
+
+def _same(ours: VoxelMap, saved: VoxelMap) -> bool:
+    if ours.block_count != saved.block_count:
+        return False
+    slots = ours.find(saved.coords)
+    return bool((slots >= 0).all()) and np.array_equal(ours.log_odds[slots], saved.log_odds)
+
+
+def _tell_recording(
+    story: Story,
     recording: Recording,
     settings: MappingSettings,
-    region: Box | None = None,
-    *,
-    watch: Callable[[str, int, int], None] = lambda name, done, count: None,
-) -> Story:
+    region: Box | None,
+    watch: Callable[[int, int], None],
+    should_stop: Callable[[], bool],
+) -> None:
     """A recording, mapped as it goes; images alone if it has no poses.
 
     Raises:
         InsonifyError: There are no pings in it, or the map would not fit into memory.
     """
-    story = Story(recording.path.name)
     story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
-    name, count = recording.path.name, recording.count
     if recording.facts.get("poses", "none") == "none":
-        for number, recorded in enumerate(recording, 1):
-            story.add_ping(recorded.ping, None)
-            watch(name, number, count)
+        for number, posed in enumerate(recording, 1):
+            story.add_ping(posed)
+            story.changed()
+            watch(number, recording.count)
+            if should_stop():
+                return
         if not story.moments:
             raise RecordingError(f"{recording.path}: there are no pings in it")
-        return story
+        return
 
-    def tell(replay: Replay, whence: Recording, number: int, recorded: RecordedPing) -> None:
-        story.add_ping(recorded.ping, recorded.pose)
-        voxels = replay.mapper.voxels
+    def tell(remap: Remap, whence: Recording, number: int, posed: PosedPing) -> None:
+        story.add_ping(posed)
+        voxels = remap.mapper.voxels
         if voxels.block_count and story.maps.wants(number):
-            story.add_map(voxels, region or around_occupied(voxels))
-        watch(name, number, count)
+            story.add_map(voxels, region or voxels.around_occupied())
+        story.changed()
+        watch(number, recording.count)
 
-    replay = map_recordings([recording], settings, region, watch=tell)
-    story.add_map(replay.mapper.voxels, replay.region)
-    return story
+    remap = map_recordings([recording], settings, region, watch=tell, should_stop=should_stop)
+    story.add_map(remap.mapper.voxels, remap.region)
+    story.changed()
 
 
 def _is_map(path: Path) -> bool:

@@ -8,11 +8,12 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from insonify.evaluation import Solid, solids_of
 from insonify.mapping.voxels import VoxelMap
-from insonify.mission import Decided, Ended, Mapped, Pinged, Step
+from insonify.mission.loop import Decided, Ended, Mapped, Pinged, Step
+from insonify.mission.run import Run
 from insonify.planning.decision import Decision
-from insonify.runs import Run
-from insonify.types import Array, Box, FanGeometry, Ping, Pose
+from insonify.types import Array, Box, FanGeometry, Pose, PosedPing
 from insonify.view.cubes import Cubes, occupied_cubes, undecided_cubes
 
 MOST_BYTES = 256 << 20
@@ -103,15 +104,6 @@ class MapPicture:
         return sum(part.size_bytes for part in (self.occupied, self.elsewhere, self.undecided))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """A part of the true world: its name, vertices (N, 3) metres and faces (M, 3)."""
-
-    name: str
-    vertices: Array
-    faces: Array
-
-
 @dataclass(slots=True, eq=False)
 class Story:
     """What happened, growing while it happens.
@@ -138,11 +130,10 @@ class Story:
     end: str = ""
     changed: Callable[[], None] = lambda: None
 
-    def add_ping(
-        self, ping: Ping, pose: Pose | None, true_pose: Pose | None = None, scan: int = 1
-    ) -> None:
+    def add_ping(self, posed: PosedPing, scan: int = 1) -> None:
         """Note a ping."""
-        other = None if true_pose == pose else true_pose
+        ping, pose = posed.ping, posed.pose
+        other = None if posed.true_pose == pose else posed.true_pose
         grey = np.round(np.clip(ping.image, 0.0, 1.0) * 255.0).astype(np.uint8)
         self.images.add(len(self.moments) + 1, grey, grey.nbytes)  # before a page looks for it
         self.moments.append(Moment(ping.time_s, ping.geometry, pose, other, scan))
@@ -161,19 +152,15 @@ class Story:
     def watch(self, run: Run, step: Step) -> None:
         """Note a step of a run: a consumer of the mission, like progress or a recording."""
         if not self.world:
-            scene = run.world.scene
-            self.world = tuple(
-                Solid(name, vertices, faces)
-                for name, (vertices, faces) in zip(scene.labels, scene.meshes, strict=True)
-            )
+            self.world = solids_of(run.world.scene)
             self.region = run.world.area.region
         if isinstance(step, Decided):
             self.decisions.append((run.pings, step.decision))
         elif isinstance(step, Pinged):
-            self.add_ping(step.ping, step.pose, run.true_pose(step.pose), len(run.paths))
+            self.add_ping(step.posed, len(run.paths))
         elif isinstance(step, Mapped) and self.maps.wants(len(self.moments)):
             self.add_map(run.mapper.voxels, run.world.area.region)
         elif isinstance(step, Ended):
             self.add_map(run.mapper.voxels, run.world.area.region)
-            self.end = step.reason.value
+            self.end = step.reason.sentence
         self.changed()

@@ -74,7 +74,7 @@ def reasons(decision: Decision) -> str:
             f"<th>of cluster</th><th>share</th></tr>{rows}</table>"
         )
     if decision.stop is not None:
-        text += html.escape(decision.stop.value)
+        text += html.escape(decision.stop.sentence)
     return text + "</div>"
 
 

@@ -19,9 +19,9 @@ from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
 from insonify.io.recordings.beams import even_fan, unit_pixels
 from insonify.io.recordings.poses import PoseTrack, read_poses
-from insonify.io.recordings.recording import Reading, RecordedPing, RecordingWarning
+from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.sonar.devices import SonarDevice, named_device
-from insonify.types import FanGeometry, Ping, Pose
+from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "recordings"
 FAN = {"range_min_m": 0.5, "range_max_m": 3.0, "azimuth_deg": 60.0, "elevation_deg": 12.0}
@@ -31,7 +31,7 @@ def test_arrays_come_back_as_they_were(tmp_path: Path, rng: np.random.Generator)
     mount = Pose(0.2, 0.0, -0.1, 0.01, 0.5, -0.02)
     fan = FanGeometry(math.radians(50.0), math.radians(20.0), 6, 5, 0.1, 2.0, mount)
     pings = [
-        RecordedPing(
+        PosedPing(
             Ping(rng.random((5, 6), np.float32), fan, 10.0 + k), Pose(k, 2.0, -3.0, 0.1, 0.2, 0.3)
         )
         for k in range(4)

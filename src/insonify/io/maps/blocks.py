@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import psutil
 
+from insonify import memory
 from insonify.errors import MapFileError
 from insonify.mapping.voxels import (
     BYTES_PER_VOXEL,
@@ -15,8 +15,9 @@ from insonify.mapping.voxels import (
     OBSERVED,
     VOXELS_PER_BLOCK,
     VoxelMap,
+    touching,
 )
-from insonify.types import Array, Bool, Box, Int64
+from insonify.types import Array, Box, Int64
 
 MOST_LOG_ODDS = 100.0
 
@@ -24,13 +25,6 @@ MOST_LOG_ODDS = 100.0
 def ascending(voxels: VoxelMap) -> Int64:
     """Slots of a map's blocks by x, y, z, so that files do not tell the order of exploration."""
     return np.lexsort(voxels.coords.T[::-1])
-
-
-def touching(coords: Array, block_m: float, region: Box) -> Bool:
-    """Which blocks (N, 3) a box touches."""
-    low_m = coords.astype(np.float64) * block_m
-    inside = (low_m <= region.high_m) & (low_m + block_m >= region.low_m)
-    return np.asarray(inside.all(axis=1), bool)
 
 
 def map_from_blocks(
@@ -86,9 +80,8 @@ def check_memory(path: Path, blocks: int) -> None:
         MapFileError: It needs more than half of the memory that is free.
     """
     needed = blocks * VOXELS_PER_BLOCK * BYTES_PER_VOXEL
-    free = psutil.virtual_memory().available
-    if needed > free / 2:
+    if not memory.fits(2.0 * needed):
         raise MapFileError(
-            f"{path}: its map would need {needed / 1e9:.3g} GB and {free / 1e9:.3g} GB are free; "
-            "the file is damaged, or wants a larger machine"
+            f"{path}: its map would need {memory.shortage(2.0 * needed)}; the file is damaged, or "
+            "wants a larger machine"
         )

@@ -12,10 +12,16 @@ from typing import Any
 import numpy as np
 
 from insonify.errors import MapFileError
-from insonify.io.extras import optional
-from insonify.io.maps.blocks import check_memory, map_from_blocks, touching
+from insonify.extras import optional
+from insonify.io.maps.blocks import check_memory, map_from_blocks
 from insonify.io.maps.octree import interleave
-from insonify.mapping.voxels import BLOCK, FARTHEST_BLOCK, VOXELS_PER_BLOCK, VoxelMap
+from insonify.mapping.voxels import (
+    BLOCK,
+    FARTHEST_BLOCK,
+    VOXELS_PER_BLOCK,
+    VoxelMap,
+    touching,
+)
 from insonify.types import Array, Box
 
 FORMAT, VERSION = "insonify-map", 2

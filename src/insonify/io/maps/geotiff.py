@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from insonify.extras import optional
 from insonify.io.datum import Datum
-from insonify.io.extras import optional
 from insonify.io.maps.heights import height_grid
 from insonify.mapping.voxels import VoxelMap
 

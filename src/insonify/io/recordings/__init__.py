@@ -8,12 +8,12 @@ from insonify.errors import RecordingError
 from insonify.io.recordings.aris import MAGIC as ARIS_MAGIC
 from insonify.io.recordings.aris import read_aris
 from insonify.io.recordings.arrays import read_arrays
-from insonify.io.recordings.bag_recording import read_bag
-from insonify.io.recordings.bags import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, Bag, open_bag
 from insonify.io.recordings.images import read_images
 from insonify.io.recordings.oculus import START as OCULUS_START
 from insonify.io.recordings.oculus import read_oculus
 from insonify.io.recordings.recording import Reading, Recording, with_poses
+from insonify.io.recordings.ros.bags import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, Bag, open_bag
+from insonify.io.recordings.ros.recording import read_bag
 from insonify.io.recordings.simulated import read_simulated
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")

@@ -20,8 +20,8 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import Reading, RecordedPing, Recording, RecordingWarning
-from insonify.types import Float64, Ping, Pose
+from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
+from insonify.types import Float64, Ping, Pose, PosedPing
 
 MAGIC = b"DDF\x05"
 _HEADER_BYTES = 1024
@@ -94,14 +94,14 @@ def read_aris(path: Path, reading: Reading) -> Recording:
         _warn(path, f"cut off in frame {count + 1}; the {count} whole ones are read")
     fan = _fan(path, first, reading)
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         with path.open("rb") as file:
             for number in range(count):
                 file.seek(_HEADER_BYTES + number * frame_bytes)
                 ping = _ping(path, file, number, first, fan, reading)
                 if ping is None:
                     return
-                yield RecordedPing(ping)
+                yield PosedPing(ping)
 
     return Recording(path, "ARIS version 5", count, True, _facts(first, beams, fan, reading), read)
 

@@ -12,14 +12,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import psutil
 
+from insonify import memory
 from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
 from insonify.io.archives import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
-from insonify.io.recordings.recording import MOST_PIXELS, Reading, RecordedPing, Recording
-from insonify.types import Array, FanGeometry, Float64, Ping, Pose
+from insonify.io.recordings.recording import MOST_PIXELS, Reading, Recording
+from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 _KNOWN = {
     "images", "time_s", "pose_body", "pose_sensor", "mount", "columns",
@@ -48,14 +48,14 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     poses = _poses(path, arrays, len(images), geometry.mount)
     starboard_first = "columns" not in arrays or str(arrays["columns"]) == "starboard_to_port"
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         for number, pixels in enumerate(images):
             try:
                 image = unit_pixels(pixels[:, ::-1] if starboard_first else pixels)
             except ValueError as err:
                 raise RecordingError(f"{path}: image {number + 1}: {err}") from err
             time_s = float(number if times is None else times[number])
-            yield RecordedPing(Ping(image, geometry, time_s), poses[number] if poses else None)
+            yield PosedPing(Ping(image, geometry, time_s), poses[number] if poses else None)
 
     facts = {
         "pixels": str(images.dtype),
@@ -65,7 +65,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     return Recording(path, "NumPy arrays", len(images), times is not None, facts, read)
 
 
-def save_arrays(path: Path, pings: list[RecordedPing]) -> None:
+def save_arrays(path: Path, pings: list[PosedPing]) -> None:
     """Write pings of one geometry as an archive that `read_arrays` takes back, poses and all.
 
     Raises:
@@ -128,11 +128,10 @@ def _check_sizes(path: Path, name: str) -> None:
             total += honest
             if entry.file_size > 1100 * entry.compress_size + 4096:  # deflate's limit is 1032
                 raise RecordingError(f"{path}: damaged, array {entry.filename} is a false size")
-    free = psutil.virtual_memory().available
-    if total > 0.5 * free:
+    if not memory.fits(2.0 * total):
         raise RecordingError(
-            f"{path}: its arrays need {total / 1e9:.3g} GB and {free / 1e9:.3g} GB are free; split "
-            "it into recordings of fewer pings"
+            f"{path}: its arrays need {memory.shortage(2.0 * total)}; split it into recordings of "
+            "fewer pings"
         )
 
 

@@ -19,13 +19,12 @@ from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
     MOST_PIXELS,
     Reading,
-    RecordedPing,
     Recording,
     RecordingWarning,
     with_poses,
 )
-from insonify.sonar.devices import SonarDevice, read_device
-from insonify.types import Array, FanGeometry, Ping
+from insonify.sonar.devices import SonarDevice, named_device
+from insonify.types import Array, FanGeometry, Ping, PosedPing
 
 SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm"}
 POSE_FILES = ("poses.csv", "poses.txt", "poses.tum")
@@ -50,7 +49,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
     geometry = _geometry(device, first)
     times = _times(files)
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         for number, file in enumerate(files):
             try:
                 pixels = _pixels(file)
@@ -59,7 +58,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
                 continue
             fan = geometry if pixels.shape == first.shape else _geometry(device, pixels)
             time_s = float(number) if times is None else times[number]
-            yield RecordedPing(Ping(unit_pixels(pixels), fan, time_s))
+            yield PosedPing(Ping(unit_pixels(pixels), fan, time_s))
 
     facts = {"device": device.name, "pixels": str(first.dtype), "poses": "none"}
     count = len(files)
@@ -76,7 +75,7 @@ def _device(path: Path, reading: Reading) -> SonarDevice:
             f"{path}: nothing says what sonar made these images; put a {DEVICE_FILE} into the "
             "folder, or name the sonar (--sonar)"
         )
-    return read_device(path / DEVICE_FILE)
+    return named_device(str(path / DEVICE_FILE))
 
 
 def _geometry(device: SonarDevice, pixels: Array) -> FanGeometry:

@@ -20,8 +20,8 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import Reading, RecordedPing, Recording, RecordingWarning
-from insonify.types import Array, Float64, Ping, Pose
+from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
+from insonify.types import Array, Float64, Ping, Pose, PosedPing
 
 START = b"SO"
 _SIMPLE_PING = 0x23
@@ -84,7 +84,7 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
         raise RecordingError(f"{path}: no whole Oculus simple ping result in it")
     first = messages[0]
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         fan, shape = _fan(path, first, reading), first.shape
         with path.open("rb") as file:
             for message in messages:
@@ -92,7 +92,7 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
                     fan, shape = _fan(path, message, reading), message.shape
                 file.seek(message.image_at)
                 raw = file.read(message.ranges * message.row_bytes)
-                yield RecordedPing(Ping(fan.image(_pixels(message, raw)), fan.geometry))
+                yield PosedPing(Ping(fan.image(_pixels(message, raw)), fan.geometry))
 
     fan = _fan(path, first, reading)
     facts = _facts(messages, fan, reading)

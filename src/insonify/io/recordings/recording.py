@@ -10,7 +10,7 @@ from typing import Any
 from insonify.errors import RecordingError
 from insonify.io.recordings.poses import PoseTrack, read_poses
 from insonify.sonar.devices import SonarDevice
-from insonify.types import Ping, Pose
+from insonify.types import Ping, Pose, PosedPing
 
 MOST_PIXELS = 64_000_000
 """A sonar image larger than this is damage, not data."""
@@ -18,14 +18,6 @@ MOST_PIXELS = 64_000_000
 
 class RecordingWarning(UserWarning):
     """A recording was read in part, or something it does not say was assumed."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedPing:
-    """A ping, and the vehicle's pose in the world when its sound was sent, if it is known."""
-
-    ping: Ping
-    pose: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +58,9 @@ class Recording:
     count: int
     timed: bool
     facts: dict[str, Any]
-    read: Callable[[], Iterator[RecordedPing]]
+    read: Callable[[], Iterator[PosedPing]]
 
-    def __iter__(self) -> Iterator[RecordedPing]:
+    def __iter__(self) -> Iterator[PosedPing]:
         """The pings, in the order of the recording."""
         return self.read()
 
@@ -93,10 +85,10 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
         )
     facts = recording.facts | {"poses": f"{len(track)} in {source.name}"}
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         for number, recorded in enumerate(recording.read()):
             pose = _pose_of(track, recorded.ping, number, timed, reading.clock_offset_s)
-            yield RecordedPing(recorded.ping, pose)
+            yield PosedPing(recorded.ping, pose)
 
     return Recording(recording.path, recording.format, recording.count, timed, facts, read)
 

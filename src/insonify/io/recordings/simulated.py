@@ -8,7 +8,8 @@ from pathlib import Path
 
 from insonify.errors import RecordingError
 from insonify.io.pings import is_sweep, load_ping
-from insonify.io.recordings.recording import RecordedPing, Recording, RecordingWarning
+from insonify.io.recordings.recording import Recording, RecordingWarning
+from insonify.types import PosedPing
 
 PINGS = "pings"
 
@@ -31,14 +32,14 @@ def read_simulated(path: Path) -> Recording | None:
             f"{path}: turns of a scanning sonar, whose pings are no fans to map or view"
         ) from None
 
-    def read() -> Iterator[RecordedPing]:
+    def read() -> Iterator[PosedPing]:
         for file in files:
             try:
-                saved = load_ping(file)
+                posed, _ = load_ping(file)
             except RecordingError as err:
                 warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
                 continue
-            yield RecordedPing(saved.ping, saved.pose)
+            yield posed
 
     facts = {"poses": f"{len(files)}, where they were simulated"}
     return Recording(path, "result of simulate", len(files), True, facts, read)

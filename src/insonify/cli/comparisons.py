@@ -1,0 +1,180 @@
+"""Planners, and navigations, side by side."""
+
+from __future__ import annotations
+
+import json
+import sys
+from itertools import product
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from insonify.cli.root import (
+    EXIT_INTERRUPTED,
+    ConfigOption,
+    ForceOption,
+    JsonOption,
+    MapperOption,
+    OutOption,
+    SetOption,
+    absolute,
+    app,
+    choices,
+    file_layers,
+    interruptible,
+    single_layers,
+)
+from insonify.cli.scans import shown_run
+from insonify.cli.vehicles import (
+    CurrentOption,
+    VehicleOption,
+    print_navigation,
+    vehicle_table,
+)
+from insonify.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from insonify.config.settings import Table
+    from insonify.mission.loop import Step
+    from insonify.mission.result import ScanResult
+    from insonify.mission.run import Run
+
+
+@app.command()
+def compare(
+    names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
+    planners: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--planner",
+            metavar="NAME",
+            help="Compare these, by name or your own: module:Name, file.py:Name; may be repeated. "
+            "By default entropy, uniform, lawnmower.",
+        ),
+    ] = None,
+    mapper: MapperOption = None,
+    vehicle: VehicleOption = None,
+    current: CurrentOption = None,
+    settings: SetOption = None,
+    config: ConfigOption = None,
+    out: OutOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare planners over seeds, beside the paper's Tables 2 and 3.
+
+    With a vehicle: compare maps made by its own navigation with those of perfect navigation.
+    """
+    from contextlib import ExitStack
+
+    from insonify.io.folders import result_folder
+    from insonify.mission.campaign import summarise, summarise_navigation
+    from insonify.results.comparison import save_comparison
+
+    if vehicle is None and current is not None:
+        raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
+    if vehicle is not None and planners:
+        raise ConfigError(
+            "with --vehicle, navigations are compared, not planners; name one planner by --set "
+            "planner=NAME"
+        )
+    chosen = choices(vehicle=vehicle_table(vehicle, current), mapper=absolute(mapper))
+    layers = [*file_layers(config), chosen, *_compared(settings, vehicle)]
+    with ExitStack() as stack:
+        place = stack.enter_context(result_folder(out, force=force)) if out is not None else None
+        interrupted = stack.enter_context(interruptible())
+        with shown_run() as watch:
+            rows = _runs(names, seeds, layers, planners, vehicle is not None, watch, interrupted)
+        if not rows:
+            print("insonify: interrupted before the first run was complete", file=sys.stderr)
+            raise typer.Exit(EXIT_INTERRUPTED)
+        table = summarise(rows) if vehicle is None else summarise_navigation(rows)
+        if place is not None:
+            save_comparison(rows, table, place.scratch)
+    if as_json:
+        runs = [row.to_json() for row in rows]
+        print(json.dumps({"runs": runs, "table": table}, indent=2))
+    elif vehicle is None:
+        print_comparison(table)
+    else:
+        print_navigation(table)
+    if place is not None:
+        print(f"Rows: {place.target}", file=sys.stderr)
+    if interrupted():
+        print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _runs(
+    names: list[str],
+    seeds: int,
+    layers: list[Table],
+    planners: list[str] | None,
+    flown: bool,
+    watch: Callable[[Run, Step], None],
+    should_stop: Callable[[], bool],
+) -> list[ScanResult]:
+    from insonify.mission.campaign import compare as compare_planners
+    from insonify.mission.campaign import compare_navigation
+    from insonify.planning.factory import PLANNERS
+
+    if flown:
+        return compare_navigation(names, seeds, layers, watch=watch, should_stop=should_stop)
+    order = [absolute(planner) or planner for planner in planners or PLANNERS]
+    return compare_planners(names, seeds, layers, order, watch=watch, should_stop=should_stop)
+
+
+def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
+    """Single settings of a comparison, which chooses planners or navigation, and seeds, itself."""
+    layers = single_layers(settings)
+    for layer in layers:
+        if "seed" in layer or ("planner" in layer and vehicle is None):
+            key = "seed" if "seed" in layer else "planner"
+            raise ConfigError(f"compare runs all planners and seeds; leave --set {key} out")
+        if "navigation" in layer.get("vehicle", {}) and vehicle is not None:
+            raise ConfigError("compare runs both navigations; leave --set vehicle.navigation out")
+    return layers
+
+
+def print_comparison(table: Table) -> None:
+    """A comparison of planners for people: the paper's in the paper's order, then others."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table as RichTable
+
+    from insonify.mission.campaign import SCORES
+    from insonify.mission.setup import scenarios as known
+
+    console = Console()
+    first = ("lawnmower", "uniform", "entropy")
+    for name, planners in table.items():
+        source = known()[name]["paper"]["source"]
+        order = [planner for planner in first if planner in planners]
+        order += [planner for planner in planners if planner not in first]
+        view = RichTable(
+            "", title=f"{name} (paper: {source})", box=box.SIMPLE, padding=(0, 1, 0, 0)
+        )
+        for planner in order:
+            view.add_column(planner.rpartition(":")[2], no_wrap=True)
+            view.add_column("paper" if "paper" in planners[planner] else "", style="dim")
+        tolerances = (("exact", "exact"), ("within_one_voxel", "±1 voxel"))
+        for kind, (match, label) in product(("solid", "surface"), tolerances):
+            view.add_row(f"[bold]{kind}, {label}")
+            for score in SCORES:
+                cells = []
+                for planner in order:
+                    figure = planners[planner][kind][match][score]
+                    spread = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
+                    cells.append(f"{figure['mean']:.3f}{spread}")
+                    paper = planners[planner].get("paper")
+                    cells.append("" if paper is None else f"{paper[score]:.3f}")
+                view.add_row(score, *cells)
+            view.add_section()
+        for key, label in (("scans", "scans"), ("pings", "pings"), ("path_m", "path, m")):
+            figures = [f"{planners[planner][key]['mean']:.1f}" for planner in order]
+            view.add_row(label, *(cell for figure in figures for cell in (figure, "")))
+        console.print(view)
+    console.print("Mean over the seeds ± half of its 95 % confidence interval.")

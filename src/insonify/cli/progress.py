@@ -1,0 +1,136 @@
+"""One progress bar for every command, which also tells of kernels that are being compiled."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+ANNOUNCEMENT = "compiling kernels, once: the next start is quick"
+
+
+def stderr() -> Console:
+    """Where messages and progress go."""
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+class Bar:
+    """A bar on stderr; nothing is drawn where that is no terminal."""
+
+    def __init__(self, name: str, total: int | None = None) -> None:
+        """Not yet drawn.
+
+        Args:
+            name: What is going on.
+            total: How much there is to do, if that is known.
+        """
+        self._name, self._total = name, total
+        self._progress: Progress | None = None
+        self._task: Any = None
+        self._started = time.perf_counter()
+
+    def show(
+        self,
+        done: int | None = None,
+        total: int | None = None,
+        name: str | None = None,
+        note: str = "",
+    ) -> None:
+        """Move on."""
+        self._name = self._name if name is None else name
+        self._total = self._total if total is None else total
+        if self._progress is not None:
+            self._progress.update(
+                self._task,
+                completed=done,
+                total=self._total,
+                description=self._name,
+                note=note,
+            )
+
+    def restart(self, name: str, total: int | None) -> None:
+        """Begin anew with another job."""
+        self._started = time.perf_counter()
+        self._name, self._total = name, total
+        if self._progress is not None:
+            self._progress.reset(self._task, total=total, description=name, note="")
+
+    def rate(self, done: int) -> float:
+        """Things done each second since the last `restart`."""
+        return done / max(time.perf_counter() - self._started, 1e-9)
+
+    def tell(self, note: str) -> None:
+        """Say something beside the bar."""
+        if self._progress is not None:
+            self._progress.update(self._task, note=note)
+
+    @contextmanager
+    def drawn(self) -> Iterator[Bar]:
+        """Draw it while the block lasts."""
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        console = stderr()
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        with Progress(
+            *columns, TimeElapsedColumn(), console=console, transient=True,
+            disable=not console.is_terminal,
+        ) as self._progress:  # fmt: skip
+            self._task = self._progress.add_task(self._name, total=self._total, note="")
+            _drawn.append(self)
+            try:
+                yield self
+            finally:
+                _drawn.remove(self)
+                self._progress = None
+
+
+_drawn: list[Bar] = []
+"""The bars on the screen."""
+
+
+@contextmanager
+def progress(name: str, total: int | None = None) -> Iterator[Bar]:
+    """A bar for a job.
+
+    Args:
+        name: What is going on.
+        total: How much there is to do, if that is known.
+    """
+    with Bar(name, total).drawn() as bar:
+        yield bar
+
+
+class _Compiling(logging.Handler):
+    """Tells that kernels are compiled: once in words, and then how many."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self.count = 0
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """One more."""
+        if record.levelno > logging.INFO:
+            print(f"insonify: {record.getMessage()}", file=sys.stderr)
+            return
+        if self.count == 0:
+            print(f"insonify: {ANNOUNCEMENT}", file=sys.stderr)
+        self.count += 1
+        for bar in _drawn:
+            bar.tell(f"compiling kernel {self.count}")
+
+
+def announce_compiling() -> None:
+    """From now on, say when kernels are compiled."""
+    log = logging.getLogger("insonify.jit")
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    log.handlers[:] = [_Compiling()]

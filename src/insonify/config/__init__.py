@@ -1,0 +1,1 @@
+"""Settings: strict models, layers of tables, TOML; of no subject in particular."""

@@ -1,0 +1,115 @@
+"""Settings in layers: named tables, files, single settings, each on top of the one before."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from insonify.config.settings import Table
+from insonify.errors import ConfigError
+
+FILE_KEYS = (
+    ("world",),
+    ("materials",),
+    ("planner",),
+    ("mapper",),
+    ("sonars",),
+    ("object", "mesh"),
+    ("seabed", "raster"),
+    ("sonar", "preset"),
+    ("vehicle", "name"),
+)
+"""Settings that may name a file, which is then looked for beside the config that names it."""
+
+
+@cache
+def named_tables(name: str) -> dict[str, Table]:
+    """What comes with insonify by name: the tables of ``config/NAME.toml``."""
+    file = resources.files("insonify.config").joinpath(f"{name}.toml")
+    return tomllib.loads(file.read_text(encoding="utf-8"))
+
+
+def read_table(path: Path, what: str = "config file") -> Table:
+    """A TOML file; ``what`` it should be is for messages.
+
+    Raises:
+        ConfigError: The file is missing or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise ConfigError(f"{path}: there is no such {what}; check the path") from err
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
+        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
+
+
+def read_layer(path: Path) -> Table:
+    """A config file as one layer of settings; a path in it is relative to the file.
+
+    Raises:
+        ConfigError: The file is missing or not TOML.
+    """
+    table = read_table(path)
+    for *outer, key in FILE_KEYS:
+        inner: Any = table
+        for name in outer:
+            inner = inner.get(name, {}) if isinstance(inner, dict) else {}
+        if isinstance(inner, dict) and isinstance(inner.get(key), str):
+            inner[key] = absolute(inner[key], path.parent)
+    return table
+
+
+def absolute(name: str, folder: Path | None = None) -> str:
+    """A name of a file that is there by its whole path, so that it holds from any folder.
+
+    Names without a suffix are left alone, as they may be known ones; ``FILE.py:NAME`` is a file.
+    """
+    file, colon, inside = name.partition(":") if ".py:" in name else (name, "", "")
+    path = (folder or Path.cwd()) / file
+    return f"{path.absolute()}{colon}{inside}" if path.suffix and path.is_file() else name
+
+
+def parse_setting(text: str) -> Table:
+    """One ``KEY=VALUE`` as a layer; the key is dotted, the value TOML, or else a string.
+
+    Raises:
+        ConfigError: There is no ``=`` in it.
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise ConfigError(f"--set takes KEY=VALUE, as in mapping.voxel_m=0.2, not {text!r}")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value
+    for part in reversed(key.strip().split(".")):
+        parsed = {part: parsed}
+    return dict(parsed)
+
+
+def overlaid(layers: Iterable[Table]) -> Table:
+    """Nested tables merged, later ones winning.
+
+    A device or the like may be told by the name of a preset, alone or as ``preset`` in its table;
+    then it begins anew, and what lay below is forgotten.
+    """
+    merged: Table = {}
+    for layer in layers:
+        merged = _overlay(merged, layer)
+    return merged
+
+
+def _overlay(below: Table, above: Table) -> Table:
+    merged = dict(below)
+    for key, value in above.items():
+        inner = merged.get(key)
+        if key == "sonar" and isinstance(value, str):
+            value = {"preset": value}
+        if isinstance(value, dict) and isinstance(inner, dict) and "preset" not in value:
+            value = _overlay(inner, value)
+        merged[key] = value
+    return merged

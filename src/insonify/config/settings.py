@@ -1,0 +1,84 @@
+"""The base of every table of settings, and what is said of one that is wrong."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from insonify.errors import ConfigError
+
+Table = dict[str, Any]
+
+
+class Settings(BaseModel):
+    """A table of settings: frozen, and unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(
+    model: type[Model],
+    table: Table,
+    *,
+    prefix: str = "",
+    where: str = "",
+    see: str = "`insonify config` for all settings",
+) -> Model:
+    """A table as a model's settings.
+
+    Args:
+        model: What they are of.
+        table: The settings.
+        prefix: The table's own key, with a dot.
+        where: The file that they stand in, if that is one of their own.
+        see: Where they are described.
+
+    Raises:
+        ConfigError: A setting is unknown, of the wrong type or out of its range.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as err:
+        whose = f"{where}: " if where else ""
+        raise ConfigError(f"{whose}{_explain(err, model, prefix, see)}") from err
+
+
+def _explain(err: ValidationError, model: type[BaseModel], prefix: str, see: str) -> str:
+    """The first of pydantic's complaints as one sentence."""
+    first = err.errors()[0]
+    key = prefix + ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"there is no setting {key!r}{did_you_mean(key, all_keys(model, prefix), see)}"
+    message = first["msg"].removeprefix("Value error, ")
+    message = message[:1].lower() + message[1:]
+    given = first.get("input")
+    value = f", not {given!r}" if not isinstance(given, dict | list) else ""
+    name = f"setting {key}: " if key else ""
+    return f"{name}{message}{value}; see {see}"
+
+
+def all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    """The dotted names of a model's settings."""
+    keys = []
+    for name, field in model.model_fields.items():
+        inner = field.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            keys += all_keys(inner, f"{prefix}{name}.")
+        else:
+            keys.append(prefix + name)
+    return keys
+
+
+def did_you_mean(word: str, known: Iterable[str], see: str = "`insonify config`") -> str:
+    """The end of a message about an unknown name: the nearest known one, or all if they are few."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    if close:
+        return f"; did you mean {close[0]!r}?"
+    return f"; choose one of {', '.join(names)}" if len(names) < 12 else f"; see {see}"

@@ -1,0 +1,54 @@
+"""Mappers by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from insonify.config.settings import did_you_mean
+from insonify.errors import ConfigError
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.plugins import is_plugin, load_plugin, made
+
+MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {"bayes": BayesMapper}
+_NEEDS = ("name", "voxels", "integrate", "finish_scan", "tells", "save", "load")
+
+
+def make_mapper(
+    name: str, settings: MappingSettings, options: Mapping[str, Any] | None = None
+) -> Mapper:
+    """A mapper with an empty map.
+
+    Args:
+        name: Of one of `MAPPERS`, or a user's own: ``module:Name`` or ``file.py:Name``.
+        settings: Handed to it.
+        options: Of a user's own, by keyword.
+
+    Raises:
+        ConfigError: There is none of that name, or it is no mapper.
+    """
+    check_mapper(name, options)
+    if name in MAPPERS:
+        return MAPPERS[name](settings)
+    factory = load_plugin(name, "mapper")
+    mapper: Mapper = made(factory, name, "mapper", (settings,), options or {}, _NEEDS)
+    return mapper
+
+
+def check_mapper(name: str, options: Mapping[str, Any] | None = None) -> None:
+    """Refuse a name that is neither known nor a user's own, before anything is made.
+
+    Raises:
+        ConfigError: It is neither, or a known one is given options.
+    """
+    if name not in MAPPERS and not is_plugin(name):
+        raise ConfigError(
+            f"there is no mapper named {name!r}{did_you_mean(name, MAPPERS)}, or give your own as "
+            "MODULE:NAME or FILE.py:NAME"
+        )
+    if name in MAPPERS and options:
+        raise ConfigError(
+            f"mapper_options are for a mapper of your own, and {name!r} is not; its settings are "
+            f"those of mapping.{name}"
+        )

@@ -1,0 +1,97 @@
+"""What a mapper is, what its map can be asked, and which mappers there are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, Self, runtime_checkable
+
+from pydantic import Field, model_validator
+
+from insonify.config.settings import Settings
+from insonify.mapping.voxels import VoxelMap
+from insonify.types import Array, FanGeometry, Float32, Float64, Ping, Pose
+
+
+class BayesSettings(Settings):
+    """The inverse sensor model of `bayes`."""
+
+    p_occupied: float = Field(
+        0.6, gt=0.5, lt=1, description="p(occupied | the voxel's arc has an echo)"
+    )
+    p_free: float = Field(
+        0.15, gt=0, lt=0.5, description="p(occupied | silence before the first echo)"
+    )
+    p_min: float = Field(0.02, gt=0, lt=0.5, description="lower clamp of the probability")
+    p_max: float = Field(0.98, gt=0.5, lt=1, description="upper clamp of the probability")
+
+    @model_validator(mode="after")
+    def _evidence_inside_clamps(self) -> Self:
+        if self.p_free < self.p_min or self.p_occupied > self.p_max:
+            raise ValueError(
+                f"p_free ({self.p_free:g}) and p_occupied ({self.p_occupied:g}) must lie between "
+                f"p_min ({self.p_min:g}) and p_max ({self.p_max:g})"
+            )
+        return self
+
+
+class MappingSettings(Settings):
+    """What every mapper needs, and a table for each mapper's own."""
+
+    voxel_m: float = Field(0.1, gt=0, le=100, description="edge length of a voxel")
+    pixel_threshold: int = Field(
+        76, ge=0, le=254, description="of 255; brighter pixels are echoes (Table 1)"
+    )
+    bayes: BayesSettings = BayesSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _older_files(cls, table: Any) -> Any:
+        """Version 0.1 had the figures of `bayes` in the table of all mappers."""
+        if not isinstance(table, dict):
+            return table
+        moved = {key: table[key] for key in BayesSettings.model_fields if key in table}
+        if not moved:
+            return table
+        kept = {key: value for key, value in table.items() if key not in moved}
+        return kept | {"bayes": moved | dict(kept.get("bayes", {}))}
+
+
+class Belief(Protocol):
+    """What is known of the world so far: what a planner sees of a mapper."""
+
+    voxels: VoxelMap
+
+    def tells(self, poses: Sequence[Pose], geometry: FanGeometry, voxels_m: Float64) -> Float32:
+        """How much a ping from each pose is expected to tell about each voxel.
+
+        Args:
+            poses: Vehicle poses.
+            geometry: The sonar.
+            voxels_m: (N, 3) centres of voxels, world frame.
+
+        Returns:
+            (poses, N), from 0, nothing, to 1, all that is to be known of it.
+        """
+
+
+@runtime_checkable
+class Mapper(Belief, Protocol):
+    """Builds a map from pings and the poses the vehicle believes they were taken at.
+
+    A mapper may keep pings, votes or whatever it needs besides ``voxels``, which must be up to date
+    after every ping.
+    """
+
+    name: str
+
+    def integrate(self, ping: Ping, pose: Pose) -> None:
+        """Update the map with one ping taken at a vehicle pose."""
+
+    def finish_scan(self) -> None:
+        """Do what is left to do at the end of a scan, over the pings that were kept."""
+
+    def save(self) -> dict[str, Array]:
+        """What it needs to go on later, besides ``voxels``."""
+
+    def load(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from what `save` gave, with ``voxels`` as they were then."""

@@ -1,0 +1,98 @@
+"""Where a map's blocks are kept: in memory, behind all that a store on disk would have to offer."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from insonify.types import Array, Float32, Int32, Int64
+
+BLOCK = 8
+VOXELS_PER_BLOCK = BLOCK**3
+BYTES_PER_VOXEL = 5
+"""Log-odds, and what was seen."""
+
+
+class BlockStore(Protocol):
+    """Blocks of voxels by slot, the order in which they were made.
+
+    The arrays hold all blocks there are; kernels write into them in place, so a store on disk gives
+    arrays that are mapped into memory.
+    """
+
+    @property
+    def coords(self) -> Int32:
+        """Block indices (blocks, 3)."""
+
+    @property
+    def log_odds(self) -> Float32:
+        """(blocks, 512), x outermost."""
+
+    @property
+    def seen(self) -> Array:
+        """(blocks, 512) uint8."""
+
+    def allocate(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3), making those that are new, all zeros."""
+
+    def find(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3); -1 for blocks that do not exist."""
+
+
+class MemoryStore:
+    """Arrays that double when they are full."""
+
+    def __init__(self) -> None:
+        """No blocks."""
+        self._slot_of: dict[int, int] = {}
+        self._coords = np.zeros((64, 3), np.int32)
+        self._log_odds = np.zeros((64, VOXELS_PER_BLOCK), np.float32)
+        self._seen = np.zeros((64, VOXELS_PER_BLOCK), np.uint8)
+
+    @property
+    def coords(self) -> Int32:
+        """Block indices (blocks, 3)."""
+        return self._coords[: len(self._slot_of)]
+
+    @property
+    def log_odds(self) -> Float32:
+        """(blocks, 512), x outermost."""
+        return self._log_odds[: len(self._slot_of)]
+
+    @property
+    def seen(self) -> Array:
+        """(blocks, 512) uint8."""
+        return self._seen[: len(self._slot_of)]
+
+    def allocate(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3), making those that are new, all zeros."""
+        slots = self.find(coords)
+        table, keys = self._slot_of, _keys(coords)
+        for row in np.flatnonzero(slots < 0):
+            slot = table.setdefault(int(keys[row]), len(table))
+            self._reserve(slot + 1)
+            self._coords[slot] = coords[row]
+            slots[row] = slot
+        return slots
+
+    def find(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3); -1 for blocks that do not exist."""
+        table = self._slot_of
+        return np.array([table.get(key, -1) for key in _keys(coords).tolist()], np.int64)
+
+    def _reserve(self, blocks: int) -> None:
+        capacity = len(self._coords)
+        if blocks <= capacity:
+            return
+        for name in ("_coords", "_log_odds", "_seen"):
+            old = getattr(self, name)
+            new = np.zeros((2 * capacity, *old.shape[1:]), old.dtype)
+            new[:capacity] = old
+            setattr(self, name, new)
+
+
+def _keys(coords: Int32) -> Int64:
+    """One integer for each block index (N, 3), distinct for indices within +-1,000,000."""
+    keys: Int64 = np.asarray(coords, np.int64) @ np.array([1 << 42, 1 << 21, 1])
+    return keys

@@ -1,0 +1,202 @@
+"""A map made again from recordings: the mapper fed with pings that others recorded."""
+
+from __future__ import annotations
+
+import math
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from insonify import memory
+from insonify.errors import GeometryError, MemoryLimitError, RecordingError
+from insonify.io.recordings.recording import Recording, RecordingWarning
+from insonify.io.recordings.summary import describe_fan
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK
+from insonify.mission.result import MapResult
+from insonify.planning.entropy import entropy_map
+from insonify.types import Box, FanGeometry, Pose, PosedPing
+
+KEPT_PINGS = 6
+MOST_REGION_VOXELS = 150_000_000
+BYTES_PER_BLOCK = VOXELS_PER_BLOCK * BYTES_PER_VOXEL
+_GROWTH = 3
+"""Memory at a moment when the map's arrays double: the old ones and the new."""
+
+
+@dataclass(slots=True, eq=False)
+class Remap:
+    """A map made of recordings, and what went into it.
+
+    Attributes:
+        settings: How it was mapped.
+        mapper: The mapper, with its map.
+        sources: One entry a recording: file, format, pings, mapped and without a pose.
+        poses: The vehicle's poses at the pings that were mapped.
+        fans: The fan geometries, in order of appearance.
+        keyframes: Some pings, for pictures, with the name of their recording and their number.
+        region: Where entropy is counted and shown.
+        seconds: Wall time of reading and mapping.
+    """
+
+    settings: MappingSettings
+    mapper: Mapper
+    sources: list[dict[str, Any]] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    fans: list[FanGeometry] = field(default_factory=list)
+    keyframes: list[tuple[str, int, PosedPing]] = field(default_factory=list)
+    region: Box = Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    seconds: dict[str, float] = field(default_factory=lambda: {"reading": 0.0, "mapping": 0.0})
+
+    def result(self) -> MapResult:
+        """Its figures."""
+        window = self.mapper.voxels.window(self.region)
+        legs = pairwise(self.poses)
+        return MapResult(
+            mapper=self.mapper.name,
+            recordings=tuple(self.sources),
+            pings=len(self.poses),
+            path_m=round(sum(math.dist(a.position_m, b.position_m) for a, b in legs), 6),
+            fans=tuple(describe_fan(fan) for fan in self.fans),
+            mapping=self.settings.model_dump(),
+            occupied_voxels=int((self.mapper.voxels.log_odds > 0.0).sum()),
+            region_m=(self.region.low_m, self.region.high_m),
+            region={
+                "voxels": window.seen.size,
+                "in_view": int((window.seen > 0).sum()),
+                "occupied": int(window.occupied.sum()),
+                "entropy_bits": round(float(entropy_map(window).sum(dtype=np.float64)), 3),
+            },
+            seconds={name: round(value, 3) for name, value in self.seconds.items()},
+        )
+
+
+Watch = Callable[[Remap, Recording, int, PosedPing], None]
+
+
+def map_recordings(
+    recordings: Sequence[Recording],
+    settings: MappingSettings,
+    region: Box | None = None,
+    *,
+    mapper: Mapper | None = None,
+    watch: Watch = lambda remap, recording, number, posed: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> Remap:
+    """Map recordings into one map, in their order.
+
+    Args:
+        recordings: What was recorded; their poses share one world frame.
+        settings: Voxel size and sensor model.
+        region: Where entropy is counted; by default around the occupied voxels.
+        mapper: Maps them; by default `BayesMapper`.  Each recording is a scan of its.
+        watch: Called after each ping with the map, its recording, its number from 1, and itself.
+        should_stop: Asked after each ping; if true the map is what it is by then.
+
+    Raises:
+        RecordingError: A recording has no pose for any of its pings.
+        MemoryLimitError: The map would not fit into the memory that is free.
+        GeometryError: The region is too large to show.
+    """
+    remap = Remap(settings, mapper or BayesMapper(settings))
+    for recording in recordings:
+        _map_one(remap, recording, watch, should_stop)
+        remap.mapper.finish_scan()
+        if should_stop():
+            break
+    remap.region = region or remap.mapper.voxels.around_occupied()
+    voxels = math.prod(size / settings.voxel_m for size in remap.region.size_m)
+    if voxels > MOST_REGION_VOXELS:
+        size = " x ".join(f"{edge:.3g}" for edge in remap.region.size_m)
+        raise GeometryError(
+            f"the region of {size} m has {voxels:.3g} voxels of {settings.voxel_m:g} m, too many "
+            "to count its entropy; give a smaller one (--region) or larger voxels (--voxel)"
+        )
+    return remap
+
+
+def _map_one(
+    remap: Remap, recording: Recording, watch: Watch, should_stop: Callable[[], bool]
+) -> None:
+    kept = {(2 * k + 1) * recording.count // (2 * KEPT_PINGS) for k in range(KEPT_PINGS)}
+    pings = mapped = 0
+    for posed in _timed(remap, recording):
+        since = time.perf_counter()
+        pings += 1
+        if posed.pose is not None:
+            _check_memory(remap, posed.ping.geometry)
+            remap.mapper.integrate(posed.ping, posed.pose)
+            remap.poses.append(posed.pose)
+            mapped += 1
+            if pings - 1 in kept:
+                remap.keyframes.append((recording.path.name, pings, posed))
+        remap.seconds["mapping"] += time.perf_counter() - since
+        watch(remap, recording, pings, posed)
+        if should_stop():
+            break
+    if pings == 0:
+        raise RecordingError(f"{recording.path}: there are no pings in it")
+    if mapped == 0:
+        raise RecordingError(_no_pose(recording, pings))
+    if mapped < pings:
+        warnings.warn(
+            f"{recording.path}: {pings - mapped} of {pings} pings have no pose at their time and "
+            "are left out (--clock-offset moves the pings' clock)",
+            RecordingWarning,
+            stacklevel=3,
+        )
+    remap.sources.append(
+        {
+            "file": str(recording.path),
+            "format": recording.format,
+            "pings": pings,
+            "mapped": mapped,
+        }
+    )
+
+
+def _timed(remap: Remap, recording: Recording) -> Iterator[PosedPing]:
+    """The pings of a recording; the time that each takes to come counts as reading."""
+    since = time.perf_counter()
+    for posed in recording:
+        remap.seconds["reading"] += time.perf_counter() - since
+        yield posed
+        since = time.perf_counter()
+
+
+def _no_pose(recording: Recording, pings: int) -> str:
+    known = recording.facts.get("poses", "none")
+    if known != "none":
+        return (
+            f"{recording.path}: none of its {pings} pings lies within the time of its poses "
+            f"({known}); check that both are of one clock, or give --clock-offset"
+        )
+    each = "times in the recording's clock" if recording.timed else "one for each ping"
+    return (
+        f"{recording.path}: none of its {pings} pings has a pose, so there is no map to make; give "
+        f"the vehicle's poses (--poses FILE, TUM format: time x y z qx qy qz qw a line, {each})"
+    )
+
+
+def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
+    """Refuse what would not fit, before the next ping is mapped."""
+    voxels, voxel_m = remap.mapper.voxels, remap.settings.voxel_m
+    needed = float(voxels.block_count * BYTES_PER_BLOCK * _GROWTH)
+    if geometry not in remap.fans:
+        remap.fans.append(geometry)
+        far, half = geometry.range_max_m, geometry.elevation_fov_rad / 2
+        volume = geometry.azimuth_fov_rad * 2 * math.sin(half) * far**3 / 3
+        shell = geometry.azimuth_fov_rad * far**2 * 2 * BLOCK * voxel_m  # of blocks half inside
+        needed += (volume + shell) / voxel_m**3 * BYTES_PER_VOXEL * _GROWTH
+        needed += (2 * far / (BLOCK * voxel_m)) ** 3 / 4 * 12  # the blocks that are looked at
+    if not memory.fits(needed):
+        raise MemoryLimitError(
+            f"a map of {voxel_m:g} m voxels needs {memory.shortage(needed)}; take larger voxels "
+            "(--voxel)"
+        )

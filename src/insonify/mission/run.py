@@ -1,0 +1,377 @@
+"""One run: a mission in its world, watched, timed and scored.  A pure function of its config."""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from insonify import memory
+from insonify.config.toml import config_to_toml
+from insonify.errors import GeometryError, MemoryLimitError
+from insonify.evaluation import GroundTruth, ground_truth, score_map, solids_of
+from insonify.frames import world_from_sonar
+from insonify.mapping.fan import blocks_in_fan
+from insonify.mapping.mapper import Mapper
+from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
+from insonify.mission.account import Account
+from insonify.mission.loop import (
+    Decided,
+    Ended,
+    Mapped,
+    Pinged,
+    Scanned,
+    Step,
+    Teleport,
+    collision_message,
+    fly,
+)
+from insonify.mission.result import FlightResult, ScanResult, ScanRow
+from insonify.mission.setup import Config, World
+from insonify.planning.baselines import FixedPlan, path_over_centre
+from insonify.planning.decision import DecisionRecord, Planner
+from insonify.planning.entropy import entropy_map
+from insonify.scene.probes import hull_contact, ray_query
+from insonify.seeds import Stream, generator
+from insonify.types import Float32, Ping, Pose, PosedPing, ScanPath, StopReason
+from insonify.vehicle.craft import Track, pose_errors
+from insonify.vehicle.description import vehicle_named
+from insonify.vehicle.settings import TELEPORT
+from insonify.vehicle.voyage import Surroundings, Voyage
+
+BYTES_PER_AREA_VOXEL = 120
+"""Working memory of planning and scoring, for each voxel of the designated area."""
+KEYFRAMES = (1, 2, 3)
+"""Quarters of a scan whose pings are kept for pictures."""
+
+
+@dataclass(slots=True, eq=False)
+class Flight:
+    """What a run flown by a vehicle leaves behind, besides.
+
+    Attributes:
+        voyage: The vehicle under way.
+        reference: The same pings mapped at the true poses: what pose error costs.
+    """
+
+    voyage: Voyage
+    reference: Mapper
+
+    @property
+    def track(self) -> Track:
+        """Where it was, believed to be and was meant to be."""
+        return self.voyage.craft.track if self.voyage.craft is not None else Track()
+
+    def result(self, truth: GroundTruth) -> FlightResult:
+        """Its figures."""
+        return FlightResult(
+            name=self.voyage.vehicle.name,
+            navigation=self.voyage.settings.navigation,
+            time_s=self.track.moments[-1].time_s if self.track.moments else 0.0,
+            pose_error=pose_errors(self.track),
+            metrics_at_true_poses=score_map(self.reference.voxels, truth),
+        )
+
+
+@dataclass(slots=True, eq=False)
+class Run:
+    """A run while it lasts, and everything it leaves behind.
+
+    Attributes:
+        config: What it runs on.
+        world: The simulated world and the order given to the vehicle.
+        mapper: The mapper, with its map.
+        planner: Name of the planner.
+        truth: Ground-truth voxels.
+        ahead: The scan that was decided last.
+        paths: The scans flown; the last is cut short if the run was interrupted.
+        decisions: What the planner answered, with what it was made on.
+        keyframes: Some pings of each scan, for pictures.
+        history: One entry a scan.
+        stop_reason: Why it ended.
+        seconds: Wall time of setup, sonar, mapping and planning; flying counts as sonar.
+        noise: What the images' noise is drawn from, as it stands.
+        flight: What the vehicle did, if there was one.
+    """
+
+    config: Config
+    world: World
+    mapper: Mapper
+    planner: str
+    truth: GroundTruth
+    ahead: ScanPath = ScanPath(())
+    paths: list[ScanPath] = field(default_factory=list)
+    decisions: list[DecisionRecord] = field(default_factory=list)
+    keyframes: list[tuple[int, PosedPing]] = field(default_factory=list)
+    history: list[ScanRow] = field(default_factory=list)
+    stop_reason: StopReason = StopReason.INTERRUPTED
+    seconds: dict[str, float] = field(default_factory=dict)
+    noise: np.random.Generator = field(default_factory=np.random.default_rng)
+    flight: Flight | None = None
+
+    @property
+    def pings(self) -> int:
+        """How many pings were mapped."""
+        return sum(len(path.waypoints) for path in self.paths)
+
+    @property
+    def path_m(self) -> float:
+        """Length flown, transits between the scans included; straight ones without a vehicle."""
+        if self.flight is not None:
+            return self.flight.track.length_m
+        transits = sum(
+            math.dist(a.waypoints[-1].position_m, b.waypoints[0].position_m)
+            for a, b in zip(self.paths, self.paths[1:], strict=False)
+        )
+        return transits + sum(path.length_m for path in self.paths)
+
+    def result(self) -> ScanResult:
+        """The run's figures."""
+        region = self.world.area.region
+        return ScanResult(
+            scenario=self.config.scenario,
+            planner=self.planner,
+            mapper=self.mapper.name,
+            seed=self.config.seed,
+            scans=len(self.paths),
+            pings=self.pings,
+            path_m=round(self.path_m, 6),
+            stop_reason=self.stop_reason,
+            metrics=self.history[-1].metrics,
+            history=tuple(self.history),
+            region_m=(region.low_m, region.high_m),
+            seconds={name: round(value, 3) for name, value in self.seconds.items()},
+            vehicle=None if self.flight is None else self.flight.result(self.truth),
+        )
+
+    def account(self) -> Account:
+        """The run for those who look at it."""
+        return Account(
+            result=self.result(),
+            config_toml=config_to_toml(self.config, "scan"),
+            region=self.world.area.region,
+            voxels=self.mapper.voxels,
+            truth=self.truth,
+            solids=solids_of(self.world.scene),
+            decisions=tuple(self.decisions),
+            paths=tuple(self.paths),
+            keyframes=tuple(self.keyframes),
+            moments=() if self.flight is None else tuple(self.flight.track.moments),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Remembered:
+    """A ping of a run that was broken off: what came back, and the noise's generator after it."""
+
+    posed: PosedPing
+    set_noise: Callable[[np.random.Generator], None]
+
+
+def execute(
+    config: Config,
+    planner: Planner | None = None,
+    mapper: Mapper | None = None,
+    *,
+    remembered: Iterable[Remembered] = (),
+    watch: Callable[[Run, Step], None] = lambda run, step: None,
+    should_stop: Callable[[], bool] = lambda: False,
+    pace: Callable[[float], None] = lambda time_s: None,
+) -> Run:
+    """Fly a mission to its end and score it.
+
+    Args:
+        config: What to run.
+        planner: Flies instead of the planner that the config names.
+        mapper: Maps instead of the mapper that the config names; its map is empty.
+        remembered: The first pings of the same run, broken off before; they are not made again.
+        watch: Called after every step, for progress or recording.
+        should_stop: Asked after every ping; if true the run ends there, scored as it stands.
+        pace: Called with a vehicle's time as it goes on; it may wait.
+
+    Raises:
+        InsonifyError: The config does not make a world that can be scanned.
+    """
+    clock = _Clock()
+    world = World(config)
+    _check_memory(world)
+    mapper = mapper or world.mapper()
+    reference = copy.deepcopy(mapper)  # for the same pings at the true poses, if it is flown
+    planner = planner or world.planner()
+    noise = generator(config.seed, Stream.NOISE)
+    carrier = _carrier(world, _sonar(world, noise, remembered), pace)
+    if isinstance(carrier, Teleport):
+        _check_plan(world, planner)
+    truth = ground_truth(world.scene, world.stage.body, config.mapping.voxel_m)
+    run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=noise)
+    if isinstance(carrier, Voyage):
+        run.flight = Flight(carrier, reference)
+    clock.lap("setup")
+    mission = fly(carrier, mapper, planner)
+    for step in _timed(mission, clock):
+        _note(run, step)
+        watch(run, step)
+        if run.flight is not None:
+            run.flight.track.readings.clear()  # whoever records them has
+        if isinstance(step, Mapped) and should_stop():
+            break
+    if not run.history or run.history[-1].pings < run.pings:
+        run.history.append(_assess(run))
+    return run
+
+
+def _carrier(
+    world: World, insonify: Callable[[Pose, Pose], Ping], pace: Callable[[float], None]
+) -> Teleport | Voyage:
+    """What carries the sonar: the vehicle that the config names, or none."""
+    config, scene = world.config, world.scene
+    clearance_m = config.survey.clearance_m
+    if config.vehicle.name == TELEPORT:
+        return Teleport(
+            lambda pose: insonify(pose, pose),
+            lambda path: scene.first_collision(path, clearance_m),
+        )
+    vehicle = vehicle_named(config.vehicle.name)
+    surroundings = Surroundings(insonify, ray_query(scene), hull_contact(scene, vehicle.radius_m))
+    rng = generator(config.seed, Stream.VEHICLE)
+    return Voyage(vehicle, config.vehicle, clearance_m, surroundings, rng, pace)
+
+
+def _sonar(
+    world: World, noise: np.random.Generator, remembered: Iterable[Remembered]
+) -> Callable[[Pose, Pose], Ping]:
+    """The sonar in its world, after what is remembered of it: from a true and a believed pose."""
+    pasts = iter(remembered)
+
+    def insonify(true: Pose, believed: Pose) -> Ping:
+        past = next(pasts, None)
+        if past is None:
+            return world.sonar.ping(world.scene, true, noise)
+        if past.posed.pose != believed:
+            raise GeometryError(
+                "the scan that was broken off went another way than this one does; it was made by "
+                "another version of insonify, so delete its recording and scan anew"
+            )
+        past.set_noise(noise)
+        return past.posed.ping
+
+    return insonify
+
+
+class _Clock:
+    """Wall time by phase."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(("setup", "sonar", "mapping", "planning"), 0.0)
+        self.restart()
+
+    def restart(self) -> None:
+        self._since = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        self.seconds[phase] += time.perf_counter() - self._since
+
+
+_PHASES: dict[type[Step], str] = {Decided: "planning", Pinged: "sonar", Mapped: "mapping"}
+
+
+def _timed(mission: Iterator[Step], clock: _Clock) -> Iterator[Step]:
+    """The mission's steps; the time each took to come goes to its phase."""
+    clock.restart()
+    for step in mission:
+        if type(step) in _PHASES:
+            clock.lap(_PHASES[type(step)])
+        yield step
+        clock.restart()
+
+
+def _note(run: Run, step: Step) -> None:
+    """Write a step into the run."""
+    if isinstance(step, Decided):
+        entropy_bits = _entropy_from_above(run) if run.paths else None
+        run.decisions.append(DecisionRecord(run.pings, step.decision, entropy_bits))
+        if step.decision.path is not None:
+            run.ahead = step.decision.path
+    elif isinstance(step, Pinged):
+        _note_ping(run, step.posed)
+    elif isinstance(step, Scanned):
+        run.history.append(_assess(run))
+    elif isinstance(step, Ended):
+        run.stop_reason = step.reason
+
+
+def _note_ping(run: Run, posed: PosedPing) -> None:
+    """Lengthen the scan being flown by a waypoint; keep three pings of each scan."""
+    if not run.paths or len(run.paths) == len(run.history):
+        run.paths.append(ScanPath(()))
+    assert posed.pose is not None
+    done, count = len(run.paths[-1].waypoints), len(run.ahead.waypoints)
+    run.paths[-1] = ScanPath((*run.paths[-1].waypoints, posed.pose))
+    if run.flight is not None and posed.true_pose is not None:
+        run.flight.reference.integrate(posed.ping, posed.true_pose)
+    if done in {quarter * count // 4 for quarter in KEYFRAMES}:
+        run.keyframes.append((len(run.paths), posed))
+
+
+def _entropy_from_above(run: Run) -> Float32:
+    """The entropy of the designated area summed over height, as in `DecisionRecord`."""
+    window = run.mapper.voxels.window(run.world.area.region)
+    observed: Float32 = np.where(window.seen > 0, entropy_map(window), 0.0).sum(
+        axis=2, dtype=np.float32
+    )
+    observed[~(window.seen > 0).any(axis=2)] = np.nan
+    return observed
+
+
+def _assess(run: Run) -> ScanRow:
+    window = run.mapper.voxels.window(run.world.area.region)
+    return ScanRow(
+        scan=len(run.paths),
+        pings=run.pings,
+        path_m=round(run.path_m, 6),
+        total_entropy_bits=round(float(entropy_map(window).sum(dtype=np.float64)), 3),
+        metrics=score_map(run.mapper.voxels, run.truth),
+    )
+
+
+def _check_plan(world: World, planner: Planner) -> None:
+    """Refuse a fixed plan that would run into something, before it is flown."""
+    if not isinstance(planner, FixedPlan):
+        return
+    poses = tuple(pose for path in planner.plan for pose in path.waypoints)
+    hit = world.scene.first_collision(ScanPath(poses), world.config.survey.clearance_m)
+    if hit is not None:
+        raise GeometryError(collision_message(hit))
+
+
+def _check_memory(world: World) -> None:
+    """Refuse a voxel size whose map would not fit into free memory.
+
+    The estimate is the space that the sonar could sweep on scans over the centre from all sides,
+    counted with coarse blocks.
+    """
+    voxel_m = world.config.mapping.voxel_m
+    swept = VoxelMap(max(voxel_m, world.config.sonar.range_max_m / 160))
+    geometry = world.config.sonar.geometry
+    for heading in np.arange(12) * math.tau / 12:
+        for pose in path_over_centre(world.area, heading).waypoints[::4]:
+            transform = world_from_sonar(pose, geometry.mount)
+            swept.allocate(blocks_in_fan(transform, geometry, swept.block_m))
+    area_m3 = math.prod(world.area.region.size_m)
+    swept_m3 = swept.block_count * swept.block_m**3
+    weight = swept_m3 * BYTES_PER_VOXEL * 3 + area_m3 * BYTES_PER_AREA_VOXEL
+    needed = weight / voxel_m**3
+    if memory.fits(needed):
+        return
+    fits = (weight / max(1.0, memory.SHARE * memory.free_bytes())) ** (1 / 3)
+    digits = 1 - math.floor(math.log10(fits))
+    fits = math.ceil(fits * 10**digits) / 10**digits
+    raise MemoryLimitError(
+        f"{world.config.object.mesh} is {max(world.stage.body.box.size_m):.3g} m across: voxels "
+        f"of {voxel_m:g} m would need {memory.shortage(needed)}; voxels of {fits:g} m fit "
+        f"(--set mapping.voxel_m={fits:g})"
+    )

@@ -1,0 +1,69 @@
+"""Planners by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from insonify.config.settings import did_you_mean
+from insonify.errors import ConfigError
+from insonify.planning.active import EntropyPlanner, EntropySettings
+from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner
+from insonify.planning.decision import Planner, SurveyArea
+from insonify.plugins import is_plugin, load_plugin, made
+from insonify.types import FanGeometry
+
+_NEEDS = ("name", "next_scan")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What planners are told: the order, the sonar, and the built-in ones' own settings."""
+
+    area: SurveyArea
+    geometry: FanGeometry
+    entropy: EntropySettings = EntropySettings()
+    baseline_scans: int = 3
+
+
+PLANNERS: dict[str, Callable[[Task], Planner]] = {
+    "entropy": lambda task: EntropyPlanner(task.area, task.geometry, task.entropy),
+    "uniform": lambda task: UniformPlanner(task.area, task.baseline_scans),
+    "lawnmower": lambda task: LawnmowerPlanner(task.area, task.baseline_scans),
+}
+
+
+def make_planner(name: str, task: Task, options: Mapping[str, Any] | None = None) -> Planner:
+    """A planner for a task.
+
+    Args:
+        name: Of one of `PLANNERS`, or a user's own: ``module:Name`` or ``file.py:Name``, which is
+            made with the area and the sonar's geometry.
+        task: What is to be scanned with what.
+        options: Of a user's own, by keyword.
+
+    Raises:
+        ConfigError: There is none of that name, or it is no planner.
+    """
+    check_planner(name, options)
+    if name in PLANNERS:
+        return PLANNERS[name](task)
+    factory, given = load_plugin(name, "planner"), (task.area, task.geometry)
+    planner: Planner = made(factory, name, "planner", given, options or {}, _NEEDS)
+    return planner
+
+
+def check_planner(name: str, options: Mapping[str, Any] | None = None) -> None:
+    """Refuse a name that is neither known nor a user's own, before anything is made.
+
+    Raises:
+        ConfigError: It is neither, or a known one is given options.
+    """
+    if name not in PLANNERS and not is_plugin(name):
+        raise ConfigError(
+            f"there is no planner named {name!r}{did_you_mean(name, PLANNERS)}, or give your own "
+            "as MODULE:NAME or FILE.py:NAME"
+        )
+    if name in PLANNERS and options:
+        raise ConfigError(f"planner_options are for a planner of your own, and {name!r} is not")

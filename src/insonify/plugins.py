@@ -1,0 +1,106 @@
+"""A user's own planner or mapper, named ``module:Name`` or ``file.py:Name``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from insonify.config.settings import did_you_mean
+from insonify.errors import ConfigError
+
+
+def is_plugin(name: str) -> bool:
+    """Whether a name is that of a user's own."""
+    return ":" in name
+
+
+def load_plugin(name: str, what: str) -> Callable[..., Any]:
+    """What a user's module has under a name; the module's code is run.
+
+    Args:
+        name: ``module:Name``, of an installed module or one in this folder, or ``file.py:Name``.
+        what: ``planner`` or ``mapper``, for messages.
+
+    Raises:
+        ConfigError: There is no such module, file or name.
+    """
+    where, _, inside = name.rpartition(":")
+    module = (
+        _from_file(Path(where), name, what) if where.endswith(".py") else _imported(where, what)
+    )
+    found = getattr(module, inside, None)
+    if not callable(found):
+        public = [key for key, value in vars(module).items() if isinstance(value, type)]
+        own = [key for key in public if vars(module)[key].__module__ == module.__name__]
+        raise ConfigError(
+            f"{what} {name!r}: {where} has no class {inside!r}{did_you_mean(inside, own or public)}"
+        )
+    return found  # type: ignore[no-any-return]
+
+
+def made(
+    factory: Callable[..., Any],
+    name: str,
+    what: str,
+    given: Iterable[Any],
+    options: Mapping[str, Any],
+    needs: Iterable[str],
+) -> Any:
+    """A plug-in made, and looked at.
+
+    Args:
+        factory: Makes it.
+        name: As the user named it.
+        what: ``planner`` or ``mapper``.
+        given: Arguments by position.
+        options: The user's settings, by keyword.
+        needs: Attributes that it must have.
+
+    Raises:
+        ConfigError: It does not take its arguments, or lacks something.
+    """
+    try:
+        plugin = factory(*given, **options)
+    except TypeError as err:
+        if err.__traceback__ is not None and err.__traceback__.tb_next is not None:
+            raise  # not the call, but something in it
+        raise ConfigError(f"{what} {name!r}: cannot be made ({err}); see docs/own.md") from err
+    lacking = [key for key in needs if not hasattr(plugin, key)]
+    if lacking:
+        raise ConfigError(f"{what} {name!r}: lacks {', '.join(lacking)}; see docs/own.md")
+    return plugin
+
+
+def _from_file(path: Path, name: str, what: str) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError(f"{what} {name!r}: there is no such file as {path}; check the path")
+    key = f"insonify_plugin_{path.stem}"
+    spec = spec_from_file_location(key, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[key] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def _imported(name: str, what: str) -> ModuleType:
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as err:
+        if err.name is not None and not name.startswith(err.name):
+            raise  # what it imports itself
+        raise ConfigError(
+            f"{what} {name!r}: there is no module of that name here or installed; give "
+            "MODULE:NAME or FILE.py:NAME"
+        ) from err
+    except (ValueError, TypeError) as err:
+        raise ConfigError(f"{what} {name!r}: no module's name; give MODULE:NAME") from err

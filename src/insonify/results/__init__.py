@@ -1,0 +1,1 @@
+"""What each command leaves behind, written and read back."""

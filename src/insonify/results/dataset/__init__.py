@@ -1,0 +1,178 @@
+"""Datasets on the disk: a Zarr store, pictures with masks, and COCO annotations."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numba
+
+from insonify.errors import ConfigError, MemoryLimitError
+from insonify.imaging.dataset import Dataset, Shots
+from insonify.io.folders import write_file
+from insonify.mission.result import DatasetResult
+from insonify.results.dataset import coco, store
+from insonify.results.files import save_result
+
+DONE = "done"
+"""Folder of one file for each view that is whole; gone when the dataset is."""
+IMAGES, MASKS, STORE, ANNOTATIONS = "images", "masks", "dataset.zarr", "annotations.json"
+
+_shots: Shots | None = None
+"""What a worker process makes views of."""
+
+
+def write_dataset(
+    config: Dataset,
+    folder: Path,
+    *,
+    workers: int = 1,
+    watch: Callable[[int], None] = lambda done: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> DatasetResult | None:
+    """Write a dataset into a folder, or go on with what an earlier call left there.
+
+    The files depend on the settings alone, not on the number of workers or on interruptions.
+
+    Args:
+        config: What to make.
+        folder: Where; it exists, and holds nothing else.
+        workers: Processes; more than one want the caller guarded by ``__name__ == "__main__"``.
+        watch: Called with the number of views that are whole, after each.
+        should_stop: Asked after each view; if true the folder is left for another call.
+
+    Returns:
+        In how many views each category is, and how many pixels show it; None if it was stopped.
+
+    Raises:
+        ConfigError: No pose was found for a view, there is no such world, or it has too many
+            bodies.
+        MemoryLimitError: A worker was killed.
+        MissingExtraError: The package zarr is not installed.
+    """
+    shots = _prepared(config, folder)
+    missing = [k for k in range(config.count) if not _marker(folder, k).is_file()]
+    done = config.count - len(missing)
+    watch(done)
+    for _ in _made(shots, folder, missing, workers, should_stop):
+        done += 1
+        watch(done)
+    if done < config.count:
+        return None
+
+    def rows() -> Iterator[dict[str, Any]]:
+        for number in range(config.count):
+            yield json.loads(_marker(folder, number).read_text(encoding="utf-8"))
+
+    store.finish(folder / STORE, shots, [row["pose"] for row in rows()])
+    seen = coco.write_annotations(folder / ANNOTATIONS, shots, rows)
+    shutil.rmtree(folder / DONE)
+    result = DatasetResult(
+        world=config.world,
+        sonar=config.sonar.name,
+        seed=config.seed,
+        views=config.count,
+        categories=seen,
+    )
+    save_result(result, folder)
+    return result
+
+
+def _prepared(config: Dataset, folder: Path) -> Shots:
+    """The views to be made, with a folder and a store for them."""
+    scene = config.scene()
+    if len(scene.labels) > coco.MOST_LABELS:
+        raise ConfigError(
+            f"{config.world}: has {len(scene.labels)} bodies, and a mask tells "
+            f"{coco.MOST_LABELS} apart; merge some"
+        )
+    shots = Shots(config, scene)
+    shots.pose(0)  # found out before any work, if none can be had
+    for name in (DONE, IMAGES, MASKS):
+        (folder / name).mkdir(exist_ok=True)
+    if not (folder / STORE / "zarr.json").is_file() or not any((folder / DONE).iterdir()):
+        shutil.rmtree(folder / STORE, ignore_errors=True)
+        store.create(folder / STORE, shots)
+    store.tidy(folder / STORE)
+    return shots
+
+
+def _made(
+    shots: Shots,
+    folder: Path,
+    missing: list[int],
+    workers: int,
+    should_stop: Callable[[], bool],
+) -> Iterator[int]:
+    """Make the missing views; yields each as soon as it is whole."""
+    if workers == 1 or len(missing) < 2:
+        for number in missing:
+            _write_shot(shots, folder, number)
+            yield number
+            if should_stop():
+                return
+        return
+    ahead = iter(missing)
+    with ProcessPoolExecutor(
+        workers, get_context("spawn"), initializer=_begin, initargs=(shots.config,)
+    ) as pool:
+        running: set[Future[int]] = set()
+        while True:
+            if not should_stop():
+                fresh = islice(ahead, 2 * workers - len(running))
+                running |= {pool.submit(_work, folder, number) for number in fresh}
+            if not running:
+                return
+            finished, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                try:
+                    yield future.result()
+                except BrokenProcessPool as err:
+                    raise MemoryLimitError(
+                        "a process that was making views was killed, most likely for want of "
+                        "memory; start the same command again with fewer --workers"
+                    ) from err
+
+
+def _begin(config: Dataset) -> None:
+    """Prepare a worker process: its world, one thread, and no ears for Ctrl-C."""
+    global _shots
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")  # the first process has told them
+    numba.set_num_threads(1)
+    _shots = Shots(config, config.scene())
+
+
+def _work(folder: Path, number: int) -> int:
+    assert _shots is not None
+    _write_shot(_shots, folder, number)
+    return number
+
+
+def _write_shot(shots: Shots, folder: Path, number: int) -> None:
+    """Write all files of a view, and last the one that says that it is whole."""
+    shot = shots.shot(number)
+    assert shot.truth is not None
+    store.write(folder / STORE, shot)
+    write_file(folder / IMAGES / coco.file_name(number), coco.image_png(shot.posed.ping))
+    write_file(folder / MASKS / coco.file_name(number), coco.mask_png(shot.truth))
+    write_file(_marker(folder, number), json.dumps(coco.row(shot)).encode())
+
+
+def _marker(folder: Path, number: int) -> Path:
+    return folder / DONE / f"{number:06d}.json"
+
+
+def all_cores() -> int:
+    """How many processes this machine runs side by side."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

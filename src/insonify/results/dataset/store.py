@@ -1,0 +1,105 @@
+"""A dataset as a Zarr store (version 3) that xarray opens: one chunk a view."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from insonify.extras import optional
+from insonify.imaging.dataset import Shots
+from insonify.imaging.route import Shot
+from insonify.types import Array, Float64
+
+PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
+    "image": (np.float32, float("nan"), {"long_name": "intensity", "units": "1"}),
+    "label": (np.int16, -2, {"long_name": "index into the attribute labels, -1 for nothing"}),
+    "elevation_rad": (np.float32, float("nan"), {"long_name": "elevation", "units": "rad"}),
+    "range_m": (np.float32, float("nan"), {"long_name": "range of the surface", "units": "m"}),
+    "first_return": (np.bool_, False, {"long_name": "nearest echo of its beam"}),
+    "shadow": (np.bool_, False, {"long_name": "hidden by what lies before"}),
+}
+"""Variables over (view, bin, beam): type, what stands for a chunk not written, attributes."""
+POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+
+
+def create(path: Path, shots: Shots) -> None:
+    """Make a store for all views, empty yet.
+
+    Raises:
+        MissingExtraError: The package zarr is not installed.
+    """
+    zarr = optional("zarr", "datasets", "a dataset")
+    config, fan = shots.config, shots.geometry
+    about = {
+        "title": f"insonify dataset of {config.world}",
+        "labels": list(shots.scene.labels),
+        "sonar": config.sonar.name,
+        "model": config.model,
+        "seed": config.seed,
+        "azimuth_fov_rad": fan.azimuth_fov_rad,
+        "elevation_fov_rad": fan.elevation_fov_rad,
+        "range_min_m": fan.range_min_m,
+        "range_max_m": fan.range_max_m,
+        "mount_x_y_z_roll_pitch_yaw": [
+            *fan.mount.position_m, fan.mount.roll_rad, fan.mount.pitch_rad, fan.mount.yaw_rad,
+        ],
+    }  # fmt: skip
+    group = zarr.create_group(path, zarr_format=3, attributes=about)
+    for name, (kind, nothing, attributes) in PIXELWISE.items():
+        group.create_array(
+            name,
+            shape=(config.count, fan.bins, fan.beams),
+            chunks=(1, fan.bins, fan.beams),
+            dtype=kind,
+            fill_value=nothing,
+            compressors=[zarr.codecs.ZstdCodec(level=3)],
+            dimension_names=("view", "bin", "beam"),
+            attributes=attributes,
+        )
+
+
+def write(path: Path, shot: Shot) -> None:
+    """Write the pixels of a view."""
+    zarr = optional("zarr", "datasets", "a dataset")
+    assert shot.truth is not None
+    group = zarr.open_group(path, mode="r+", zarr_format=3)
+    for name in PIXELWISE:
+        pixels = shot.posed.ping.image if name == "image" else getattr(shot.truth, name)
+        group[name][shot.number] = pixels
+
+
+def finish(path: Path, shots: Shots, poses: list[list[float]]) -> None:
+    """Write what is of all views: the poses, and where bins and beams lie."""
+    zarr = optional("zarr", "datasets", "a dataset")
+    group = zarr.open_group(path, mode="r+", zarr_format=3)
+    columns: Float64 = np.array(poses, np.float64).reshape(-1, 6).T
+    _line(group, "view", np.arange(len(poses)), "view", {"long_name": "number of the view"})
+    ranges = {"long_name": "centre range of the bin", "units": "m"}
+    _line(group, "bin_range_m", shots.geometry.bin_ranges_m, "bin", ranges)
+    azimuths = {"long_name": "centre azimuth of the beam, to port", "units": "rad"}
+    _line(group, "azimuth_rad", shots.geometry.beam_azimuths_rad, "beam", azimuths)
+    for name, values in zip(POSE, columns, strict=True):
+        what, units = name.split("_")
+        about = {"long_name": f"{what} of the vehicle", "units": units}
+        _line(group, name, values, "view", about)
+    group.attrs["coordinates"] = " ".join(("bin_range_m", "azimuth_rad", *POSE))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it is an extension of Zarr; xarray wants it
+        zarr.consolidate_metadata(path)
+
+
+def tidy(path: Path) -> None:
+    """Remove what a killed process left half-written."""
+    for file in path.rglob("*.partial"):
+        file.unlink()
+
+
+def _line(group: Any, name: str, values: Array, along: str, attributes: dict[str, str]) -> None:
+    array = group.create_array(
+        name, shape=values.shape, chunks=values.shape, dtype=values.dtype, fill_value=0,
+        dimension_names=(along,), attributes=attributes, overwrite=True,
+    )  # fmt: skip
+    array[:] = values

@@ -1,0 +1,140 @@
+"""What ``simulate`` leaves: arrays in ``pings``, pictures in ``pictures``, and a summary."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from insonify.config.settings import Table
+from insonify.config.toml import config_to_toml
+from insonify.imaging.route import Line, Profile, Record, Shot, Simulation, Turn
+from insonify.io.pings import save_ping, save_sidescan, save_sweep
+from insonify.mission.result import ImagesResult
+from insonify.report.fans import (
+    draw_fan,
+    draw_polar,
+    draw_soundings,
+    draw_truth,
+    draw_waterfall,
+    picture_png,
+)
+from insonify.results.files import CONFIG, save_result
+from insonify.sonar.scanning import sidescan_line, waterfall
+from insonify.sonar.truth import Truth
+from insonify.types import Float32, Float64, Pose, PosedPing
+
+
+class ImagesWriter:
+    """Writes records into a folder as they come."""
+
+    def __init__(self, config: Simulation, labels: Sequence[str], folder: Path) -> None:
+        """Begin in a folder that exists.
+
+        Args:
+            config: What is simulated.
+            labels: Of the world's bodies.
+            folder: Where the files go.
+        """
+        self._config, self._labels, self._folder = config, tuple(labels), folder
+        self._arrays, self._pictures = folder / "pings", folder / "pictures"
+        self._arrays.mkdir()
+        self._pictures.mkdir()
+        self._rows: list[Table] = []
+        self._lines: list[Float32] = []
+        self._line_poses: list[Pose | None] = []
+        self._bin_m = 0.0
+        self._points: list[Float64] = []
+        stem = config.world_name
+        self._title = f"{stem}, {config.sonar.name}, {config.model}, {config.renderer}"
+        (folder / CONFIG).write_text(config_to_toml(config, "simulate"), encoding="utf-8")
+
+    def write(self, record: Record) -> None:
+        """Write a record."""
+        if isinstance(record, Line):
+            self._write_line(record)
+        elif isinstance(record, Turn):
+            self._write_turn(record)
+        elif isinstance(record, Profile):
+            self._points.append(record.points)
+            self._write_shot(record.shot)
+        else:
+            self._write_shot(record)
+
+    def finish(self) -> ImagesResult:
+        """Write what is made of all records, and the figures."""
+        if self._lines:
+            image, bin_m = waterfall(self._lines), self._bin_m
+            save_sidescan(self._folder / "sidescan.npz", image, bin_m, self._line_poses)
+            self._picture("sidescan", draw_waterfall(image, bin_m, self._title))
+        if self._points:
+            points = np.concatenate(self._points)
+            np.savetxt(self._folder / "soundings.xyz", points, fmt="%.4f", header="x_m y_m z_m")
+            self._picture("soundings", draw_soundings(points, self._title))
+        config = self._config
+        result = ImagesResult(
+            world=config.world,
+            sonar=config.sonar.name,
+            sonar_kind=config.sonar.kind.value,
+            model=config.model,
+            renderer=config.renderer.value,
+            seed=config.seed,
+            labels=self._labels,
+            pings=tuple(self._rows),
+        )
+        save_result(result, self._folder)
+        return result
+
+    def _write_shot(self, shot: Shot) -> None:
+        name, ping = f"{shot.number:04d}", shot.posed.ping
+        save_ping(self._arrays / f"{name}.npz", shot.posed, shot.truth)
+        self._picture(f"{name}-fan", draw_fan(ping, self._title, 12.0))
+        self._picture(f"{name}-polar", draw_polar(ping, self._title))
+        if shot.truth is not None:
+            self._picture(f"{name}-truth", draw_truth(ping, shot.truth, self._title, 12.0))
+        if shot.picture is not None:
+            self._picture(f"{name}-camera", picture_png(shot.picture))
+        self._note(shot.posed, [shot.truth] if shot.truth is not None else [])
+
+    def _write_turn(self, turn: Turn) -> None:
+        name, title = f"{turn.number:04d}", self._title
+        path = self._arrays / f"{name}.npz"
+        save_sweep(path, turn.pings, turn.polar, turn.deskewed, turn.truths)
+        self._picture(f"{name}-fan", draw_fan(turn.polar, title, 8.0))
+        self._picture(f"{name}-polar", draw_polar(turn.polar, title))
+        self._picture(f"{name}-deskewed", draw_fan(turn.deskewed, f"{title}, de-skewed", 8.0))
+        if turn.picture is not None:
+            self._picture(f"{name}-camera", picture_png(turn.picture))
+        for posed in turn.pings:
+            self._note(posed, [], head_deg=math.degrees(posed.ping.head_rad))
+
+    def _write_line(self, line: Line) -> None:
+        self._lines.append(sidescan_line(line.port.ping, line.starboard.ping))
+        self._line_poses.append(line.port.pose)
+        self._bin_m = line.port.ping.geometry.bin_m
+        truths = line.truths or (None, None)
+        sides = zip(("port", "starboard"), (line.port, line.starboard), truths, strict=True)
+        for side, posed, truth in sides:
+            save_ping(self._arrays / f"{line.number:04d}-{side}.npz", posed, truth)
+        self._note(line.port, line.truths)
+
+    def _picture(self, name: str, png: bytes) -> None:
+        (self._pictures / f"{name}.png").write_bytes(png)
+
+    def _note(self, posed: PosedPing, truths: Sequence[Truth], **more: float) -> None:
+        pose = posed.pose
+        assert pose is not None
+        row: Table = {
+            "time_s": round(posed.ping.time_s, 6),
+            "position_m": list(pose.position_m),
+            "rpy_deg": [math.degrees(a) for a in (pose.roll_rad, pose.pitch_rad, pose.yaw_rad)],
+        } | more
+        for truth in truths:
+            for label, name in enumerate(truth.labels):
+                count = int((truth.label == label).sum())
+                row.setdefault("pixels", {}).setdefault(name, 0)
+                row["pixels"][name] += count
+            row["shadow_pixels"] = row.get("shadow_pixels", 0) + int(truth.shadow.sum())
+        self._rows.append(row)

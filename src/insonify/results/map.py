@@ -1,0 +1,83 @@
+"""What ``map`` leaves: figures, map, entropy, the sonar, a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from insonify.config.layers import read_table
+from insonify.config.settings import Settings, validated
+from insonify.config.toml import to_toml
+from insonify.io.maps import load_map, save_map, save_point_cloud
+from insonify.mapping.factory import make_mapper
+from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mission.remap import Remap
+from insonify.mission.result import MapResult
+from insonify.planning.active import EntropySettings
+from insonify.planning.entropy import entropy_map
+from insonify.report.map_html import write_map_report
+from insonify.results.files import CONFIG, save_result
+from insonify.results.mappers import load_state, save_mapper
+from insonify.sonar.devices import device_of
+
+
+class MapConfig(Settings):
+    """How recordings are mapped."""
+
+    mapper: str = "bayes"
+    mapping: MappingSettings = MappingSettings()
+    mapper_options: dict[str, Any] = Field({}, description="of a mapper of your own")
+
+
+def save_remap(remap: Remap, folder: Path, config: MapConfig) -> MapResult:
+    """Write a map made of recordings into a folder that exists.
+
+    ``entropy.npz`` holds the region: ``entropy_bits`` and ``seen`` (nx, ny, nz), ``low_m`` (3,) of
+    its first voxel's corner, ``voxel_m``.
+    """
+    voxels, result = remap.mapper.voxels, remap.result()
+    save_result(result, folder)
+    (folder / CONFIG).write_text(to_toml(config, "How this map was made"), encoding="utf-8")
+    save_map(voxels, folder / "map.npz")
+    save_mapper(remap.mapper, folder)
+    save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, remap.region)
+    window = voxels.window(remap.region)
+    low_m = np.array(window.first) * window.voxel_m
+    np.savez_compressed(
+        folder / "entropy.npz",
+        entropy_bits=entropy_map(window),
+        seen=window.seen,
+        low_m=low_m,
+        voxel_m=window.voxel_m,
+    )
+    device = device_of(remap.fans[0], "recorded")
+    (folder / "sonar.toml").write_text(to_toml(device), encoding="utf-8")
+    write_map_report(remap, folder / "report.html")
+    return result
+
+
+def load_mapper(path: Path | str) -> Mapper:
+    """A mapper with the map of a result of ``scan`` or ``map``, ready to go on or to be asked.
+
+    Args:
+        path: The result's folder, or a map file; beside it the config says what mapper made it.
+            A map on its own is taken for one of `bayes`.
+
+    Raises:
+        MapFileError: The map cannot be read.
+        ConfigError: Its mapper cannot be had.
+    """
+    path = Path(path)
+    voxels = load_map(path)
+    folder = path if path.is_dir() and path.suffix != ".zarr" else path.parent
+    table = read_table(folder / CONFIG) if (folder / CONFIG).is_file() else {}
+    known = {key: table[key] for key in MapConfig.model_fields if key in table}
+    config = validated(MapConfig, known, where=str(folder / CONFIG))
+    settings = config.mapping.model_copy(update={"voxel_m": voxels.voxel_m})
+    mapper = make_mapper(config.mapper, settings, config.mapper_options)
+    mapper.voxels = voxels
+    load_state(mapper, folder)
+    return mapper

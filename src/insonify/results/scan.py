@@ -1,0 +1,102 @@
+"""What ``scan`` leaves: figures, map, decisions, truth, track, report (recording: `recorder`)."""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from pathlib import Path
+
+from insonify.config.layers import read_table
+from insonify.errors import ResultError
+from insonify.io.decisions import load_decisions, save_decisions
+from insonify.io.maps import load_map, save_map, save_point_cloud
+from insonify.io.recordings import open_recording
+from insonify.io.trajectories import load_track, save_track
+from insonify.io.truth import load_truth, save_truth
+from insonify.mission.account import Account
+from insonify.mission.result import ScanResult
+from insonify.mission.run import KEYFRAMES, Run
+from insonify.report.html import write_report
+from insonify.results.files import CONFIG, RESULT, load_result, save_result
+from insonify.results.mappers import save_mapper
+from insonify.results.recorder import RECORDING
+from insonify.types import Box, PosedPing, ScanPath
+
+MAP, CLOUD, DECISIONS, TRUTH = "map.npz", "map.ply", "decisions.npz", "truth.npz"
+TRACK, REPORT = "trajectory.csv", "report.html"
+
+
+def save_scan(run: Run, folder: Path) -> ScanResult:
+    """Write a run into a folder that exists: all but its recording, which is written as it goes."""
+    account = run.account()
+    if run.flight is not None:
+        save_track(run.flight.track, folder / TRACK)
+    save_result(account.result, folder)
+    (folder / CONFIG).write_text(account.config_toml, encoding="utf-8")
+    save_map(account.voxels, folder / MAP)
+    save_mapper(run.mapper, folder)
+    threshold = run.config.entropy.high_entropy
+    save_point_cloud(account.voxels, folder / CLOUD, threshold, account.region)
+    save_decisions(folder / DECISIONS, account.decisions, account.paths)
+    save_truth(folder / TRUTH, account.truth, run.world.scene)
+    write_report(account, folder / REPORT)
+    return account.result
+
+
+def is_scan(folder: Path) -> bool:
+    """Whether a folder is one of `save_scan`, with all that `load_scan` needs."""
+    names = (RESULT, CONFIG, RECORDING, DECISIONS, TRUTH, MAP)
+    return all((folder / name).is_file() for name in names)
+
+
+def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
+    """Read a run back: nothing is run again, and neither its planner nor its mesh is needed.
+
+    Args:
+        folder: Of the result.
+        with_keyframes: Read pings for pictures from its recording too, which takes a while.
+
+    Raises:
+        ResultError: It is no such folder, or of a version without decisions.
+        InsonifyError: One of its files is missing or damaged.
+    """
+    folder = Path(folder)
+    result = load_result(folder)
+    if not isinstance(result, ScanResult):
+        raise ResultError(f"{folder}: the result of another command ({result.kind}), not of scan")
+    if not (folder / DECISIONS).is_file() or result.region_m is None:
+        raise ResultError(
+            f"{folder}: made by an older version of insonify, which did not record its decisions; "
+            f"scan again (insonify scan --config {folder / CONFIG})"
+        )
+    read_table(folder / CONFIG)
+    truth, solids = load_truth(folder / TRUTH)
+    decisions, paths = load_decisions(folder / DECISIONS)
+    track = folder / TRACK
+    return Account(
+        result=result,
+        config_toml=(folder / CONFIG).read_text(encoding="utf-8"),
+        region=Box.of(*result.region_m),
+        voxels=load_map(folder / MAP),
+        truth=truth,
+        solids=solids,
+        decisions=decisions,
+        paths=paths,
+        keyframes=_keyframes(folder, paths) if with_keyframes else (),
+        moments=load_track(track) if track.is_file() else (),
+    )
+
+
+def _keyframes(folder: Path, paths: tuple[ScanPath, ...]) -> tuple[tuple[int, PosedPing], ...]:
+    """The pings of a recording that a run keeps for pictures."""
+    counts = [len(path.waypoints) for path in paths]
+    starts = accumulate(counts, initial=0)
+    wanted = {
+        start + quarter * count // 4: scan
+        for scan, (start, count) in enumerate(zip(starts, counts, strict=False), 1)
+        for quarter in KEYFRAMES
+    }
+    return tuple(
+        (wanted[number], posed)
+        for number, posed in enumerate(open_recording(folder / RECORDING))
+        if number in wanted
+    )

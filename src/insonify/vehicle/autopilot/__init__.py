@@ -1,0 +1,1 @@
+"""What steers the vehicle from measurements alone: navigation, guidance, control, routes."""

@@ -1,0 +1,1 @@
+"""The vehicle as the world has it: dynamics, currents, what its sensors read."""

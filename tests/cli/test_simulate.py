@@ -1,0 +1,155 @@
+"""``insonify simulate`` as a person would type it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from insonify.io.pings import load_ping
+
+DATA = Path(__file__).resolve().parents[3] / "shared/data"
+FAST = ["--set", "sonar.beams=32", "--set", "sonar.bins=100", "--set", "sampling.refine=1"]
+
+
+def _run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "insonify", *words],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_a_mesh_gives_images_arrays_and_truth(tmp_path: Path) -> None:
+    trimesh.creation.box((2.0, 2.0, 2.0)).export(tmp_path / "box.stl")
+    words = ["simulate", "box.stl", "--pose", "-5 0 0 0 0 0", "--sonar", "didson", "--truth"]
+    done = _run(*words, *FAST, "--out", "out", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["labels"] == ["box"] and result["pings"][0]["pixels"]["box"] > 10
+    posed, truth = load_ping(tmp_path / "out/pings/0000.npz")
+    assert posed.ping.image.shape == (100, 32) and truth is not None
+    first = np.flatnonzero((posed.ping.image > 0.3).any(axis=1))[0]
+    near, far = posed.ping.geometry.bin_ranges_m[[first - 1, first + 1]]
+    assert near <= 4.0 <= far
+    for kind in ("fan", "polar", "truth"):
+        with Image.open(tmp_path / f"out/pictures/0000-{kind}.png") as picture:
+            assert min(picture.size) > 300
+    again = _run(
+        "simulate", "--config", "out/config.toml", "--truth", "--out", "again", cwd=tmp_path
+    )
+    assert again.returncode == 0, again.stderr
+    for name in ("pings/0000.npz", "pictures/0000-fan.png"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_a_path_of_a_scanning_and_a_side_scan_sonar(tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("x_m,y_m,z_m\n-1,0,-2\n1,0,-2\n")
+    for sonar, arrays, picture in (
+        ("micron-dst", ["0000.npz", "0001.npz"], "0001-deskewed.png"),
+        ("sidescan", ["0000-port.npz", "0000-starboard.npz", "0001-port.npz"], "sidescan.png"),
+        ("profiler", ["0000.npz", "0001.npz"], "soundings.png"),
+    ):
+        coarse = ["--set", "sonar.bins=200"]
+        coarse += ["--set", "sonar.step_deg=20"] if sonar == "micron-dst" else []
+        words = ["simulate", "tank", "--sonar", sonar, "--path", "path.csv", *coarse]
+        done = _run(*words, "--out", sonar, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert all((tmp_path / sonar / "pings" / name).is_file() for name in arrays)
+        assert (tmp_path / sonar / "pictures" / picture).is_file()
+        assert "tank" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["simulate"], "name a world"),
+        (["simulate", "tank"], "--pose"),
+        (["simulate", "nowhere.world", "--pose", "0 0 0 0 0 0"], "nowhere.world"),
+        (["simulate", "tank", "--pose", "0 0 nan 0 0 0"], "nan"),
+        (["simulate", "tank", "--pose", "0 0 0"], "6 finite numbers"),
+        (["simulate", "tank", "--pose", "a b c d e f"], "--pose"),
+        (["simulate", "tank", "--path", "none.csv"], "none.csv"),
+        (["simulate", "tank", "--pose", "0 0 0 0 0 0", "--path", "a"], "not several"),
+        (["simulate", "tank", "--orbit", "0 0 -2 2 1.5 0"], "whole COUNT"),
+        (["simulate", "fls-tank", "--sonar", "nonesuch"], "nonesuch"),
+        (["simulate", "fls-tank", "--model", "magic"], "magic"),
+        (["simulate", "fls-tank", "--set", "sonar.range_max_m=0.1"], "range_max_m"),
+        (["simulate", "fls-tank", "--materials", "none.toml"], "none.toml"),
+        (["simulate", "tank", "--pose", "0 0 -2 0 0 0", "--sonar", "sidescan", "--camera"], "side"),
+        (["scan", "tetrapod", "--sonar", "ping360"], "forward-looking"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    words: list[str], message: str, tmp_path: Path
+) -> None:
+    done = _run(*words, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert message in done.stderr and "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_opengl_it_says_what_to_do(tmp_path: Path) -> None:
+    program = (
+        "import sys; sys.modules['moderngl'] = None\n"
+        "from insonify.cli import main\n"
+        "sys.argv = ['insonify', 'simulate', 'fls-tank', '--renderer', 'opengl']\n"
+        "main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and list(tmp_path.iterdir()) == []
+    assert "insonify[opengl]" in done.stderr and "--renderer embree" in done.stderr
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the data beside the project is not here")
+def test_the_sunken_ship_and_the_missing_mesh(tmp_path: Path) -> None:
+    world = str(DATA / "worlds/sunken_ship_site.world")
+    pose = ["--sonar", "gemini-720i", "--pose", "-12 0 -55 0 15 0"]
+    done = _run("simulate", world, *pose, "--truth", "--json", "--out", "ship", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)["pings"]
+    assert row["pixels"]["wreck"] > 1000 and row["pixels"]["herkules_seabed"] > 100_000
+    assert row["shadow_pixels"] > 20_000
+    missing = str(DATA / "worlds/herkules_ship_wreck.world")
+    done = _run("simulate", missing, *pose, cwd=tmp_path)
+    assert done.returncode == 2 and "herkules.dae" in done.stderr
+
+
+def test_turns_are_no_recording(tmp_path: Path) -> None:
+    words = ["simulate", "msis-tank", "--out", "s", "--set", "sonar.sector_deg=20"]
+    assert _run(*words, cwd=tmp_path).returncode == 0
+    done = _run("info", "s", cwd=tmp_path)
+    assert done.returncode == 2 and "turns of a scanning sonar" in done.stderr
+
+
+def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:
+    """A wall 4 m ahead, seen on the way past: occupied voxels lie on it, none before it."""
+    wall = trimesh.creation.box((0.2, 8.0, 6.0))
+    wall.apply_translation((4.1, 0.0, 0.0))
+    wall.export(tmp_path / "wall.stl")
+    rows = "".join(f"{k / 10},{0.0},{-1.0 + 0.2 * k},0,0,0,0\n" for k in range(11))
+    (tmp_path / "way.csv").write_text("time_s,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg\n" + rows)
+    words = ["simulate", "wall.stl", "--path", "way.csv", "--out", "s", *FAST]
+    words += ["--set", "sonar.range_max_m=8", "--set", "timed=false"]
+    done = _run(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    told = _run("info", "s", "--json", cwd=tmp_path)
+    assert json.loads(told.stdout)["poses"] == 11, told.stderr
+    done = _run("map", "s", "--voxel", "0.1", "--out", "m", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    from insonify import load_map
+
+    x = load_map(tmp_path / "m").occupied_m()[:, 0]
+    assert len(x) > 100
+    assert x.min() > 3.5 and x.max() < 4.3

@@ -1,0 +1,147 @@
+"""Maps from recordings: the same as the mapper's own, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks import samples
+
+from insonify.errors import GeometryError, MemoryLimitError, RecordingError
+from insonify.io.maps import save_map
+from insonify.io.recordings import open_recording
+from insonify.io.recordings.arrays import save_arrays
+from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.voxels import VoxelMap
+from insonify.mission.remap import map_recordings
+from insonify.mission.run import execute
+from insonify.mission.setup import scenario_config
+from insonify.planning.once import clearance_m, plan_next
+from insonify.report.map_html import write_map_report
+from insonify.results.map import load_mapper
+from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing, ScanPath
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "recordings"
+FAN = FanGeometry(math.radians(40.0), math.radians(10.0), 8, 16, 0.2, 2.0)
+
+
+def _pings(rng: np.random.Generator, count: int = 5) -> list[PosedPing]:
+    images = (rng.random((count, 16, 8)) > 0.9).astype(np.float32)
+    return [
+        PosedPing(Ping(image, FAN, float(k)), Pose(0.0, 0.1 * k, -2.0, 0.0, 0.1, 0.2))
+        for k, image in enumerate(images)
+    ]
+
+
+def _recording(pings: list[PosedPing]) -> Recording:
+    return Recording(Path("made"), "made", len(pings), True, {}, lambda: iter(pings))
+
+
+def test_a_replay_is_the_mappers_own_map(rng: np.random.Generator) -> None:
+    pings = _pings(rng)
+    settings = MappingSettings(voxel_m=0.05)
+    replay = map_recordings([_recording(pings[:2]), _recording(pings[2:])], settings)
+    mapper = BayesMapper(settings)
+    for recorded in pings:
+        assert recorded.pose is not None
+        mapper.integrate(recorded.ping, recorded.pose)
+    np.testing.assert_array_equal(replay.mapper.voxels.coords, mapper.voxels.coords)
+    np.testing.assert_array_equal(replay.mapper.voxels.log_odds, mapper.voxels.log_odds)
+    result = replay.result().to_json()
+    assert result["pings"] == 5 and [s["mapped"] for s in result["recordings"]] == [2, 3]
+    assert result["path_m"] == pytest.approx(0.4)
+    assert result["occupied_voxels"] == result["region"]["occupied"] > 0
+
+
+def test_pings_without_a_pose_are_left_out_and_told(rng: np.random.Generator) -> None:
+    pings = _pings(rng)
+    pings[1] = PosedPing(pings[1].ping)
+    with pytest.warns(RecordingWarning, match="1 of 5 pings have no pose"):
+        assert (
+            map_recordings([_recording(pings)], MappingSettings()).result().to_json()["pings"] == 4
+        )
+    with pytest.raises(RecordingError, match=r"none of its 5 pings has a pose.*--poses"):
+        map_recordings([_recording([PosedPing(p.ping) for p in pings])], MappingSettings())
+
+
+def test_poses_of_another_time_are_told_from_none(tmp_path: Path) -> None:
+    pings = [PosedPing(Ping(np.zeros((16, 8), np.float32), FAN, 50.0 + k)) for k in range(2)]
+    save_arrays(tmp_path / "r.npz", pings)
+    np.savetxt(tmp_path / "p.tum", samples.tum_rows(3))  # from 100 s on
+    reading = Reading(poses=tmp_path / "p.tum")
+    with pytest.raises(RecordingError, match=r"within the time of its poses.*--clock-offset"):
+        map_recordings([open_recording(tmp_path / "r.npz", reading)], MappingSettings())
+    late = Reading(poses=tmp_path / "p.tum", clock_offset_s=50.0)
+    replay = map_recordings([open_recording(tmp_path / "r.npz", late)], MappingSettings())
+    assert replay.result().to_json()["pings"] == 2
+
+
+def test_what_would_not_fit_is_refused_before_it_is_mapped(rng: np.random.Generator) -> None:
+    with pytest.raises(MemoryLimitError, match="--voxel"):
+        map_recordings([_recording(_pings(rng))], MappingSettings(voxel_m=1e-4))
+    with pytest.raises(GeometryError, match="--region"):
+        map_recordings(
+            [_recording(_pings(rng))],
+            MappingSettings(),
+            Box((-1e3, -1e3, -1e3), (1e3, 1e3, 1e3)),
+        )
+
+
+def test_the_report_of_an_empty_sea(tmp_path: Path, rng: np.random.Generator) -> None:
+    silent = [PosedPing(Ping(np.zeros((16, 8), np.float32), FAN), Pose(0.0, 0.0, -1.0))]
+    save_arrays(tmp_path / "r.npz", silent)
+    replay = map_recordings([open_recording(tmp_path / "r.npz")], MappingSettings())
+    write_map_report(replay, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 4
+    assert "http" not in page
+
+
+def test_the_turtle_stands_out() -> None:
+    """Seen along the sonar's elevation, its outline is a body with a head, not a blur."""
+    path = DATA / "holoocean_turtle.npz"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    settings = MappingSettings(voxel_m=0.02, pixel_threshold=12)
+    replay = map_recordings([open_recording(path)], settings)
+    window = replay.mapper.voxels.window(replay.region)
+    outline = np.asarray(window.occupied.any(axis=1))
+    x, z = (np.unique(index) * 0.02 for index in np.nonzero(outline))
+    assert 1.3 < np.ptp(x) < 1.7 and 0.9 < np.ptp(z) < 1.3
+    # a slanted shape: it fills little of its box, and x tells z
+    assert outline.sum() * 0.02**2 / (np.ptp(x) * np.ptp(z)) < 0.4
+    assert np.asarray(np.corrcoef(np.argwhere(outline).T))[0, 1] > 0.85
+    # along the elevation it is smeared over the arc of 12 degrees and the baseline, no more
+    y = np.flatnonzero(window.occupied.any(axis=(0, 2))) * 0.02
+    assert 0.6 < np.ptp(y) < 1.1
+
+
+def test_the_next_scan_from_a_saved_map_is_the_missions_own(tmp_path: Path) -> None:
+    coarse = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 6}}
+    run = execute(scenario_config("tetrapod", [coarse, {"entropy": {"max_scans": 2}}]))
+    first = execute(scenario_config("tetrapod", [coarse, {"entropy": {"max_scans": 1}}]))
+    save_map(first.mapper.voxels, tmp_path / "map.npz")
+    area, config = run.world.area, run.config
+    decision = plan_next(
+        load_mapper(tmp_path / "map.npz"),
+        config.sonar.geometry,
+        area.region,
+        Pose(5.0, 5.0, area.z_m),
+        config.entropy,
+        config.survey.waypoints,
+    )
+    assert decision.path == run.paths[1]
+
+
+def test_clearance_is_to_the_nearest_occupied_voxel() -> None:
+    voxels = VoxelMap(1.0)
+    slots = voxels.allocate(np.array([[0, 0, 0]], np.int32))
+    voxels.log_odds[slots[0], 0] = 1.0  # centred at (0.5, 0.5, 0.5)
+    path = ScanPath((Pose(-5.0, 4.5, 0.5), Pose(5.0, 4.5, 0.5)))
+    distance = clearance_m(voxels, Pose(-5.0, 9.0, 0.5), path)
+    assert distance == pytest.approx(4.0 - math.sqrt(3.0) / 2)
+    assert clearance_m(VoxelMap(1.0), Pose(0, 0, 0), path) == math.inf
