@@ -1,4 +1,4 @@
-"""The docs site: it builds without a warning, lists all that is public, and fetches nothing."""
+"""The docs site: it builds without a warning, lists what is public, searches, fetches nothing."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 import insonify
 
 ROOT = Path(__file__).parents[1]
 INTERNAL = {"cli"}
+EXAMPLE = re.compile(r'"(examples/[\w.]+):(\d+)"')
 
 
 class _Loads(HTMLParser):
@@ -31,6 +35,41 @@ class _Loads(HTMLParser):
             self.found.append(given.get("href") or "")
 
 
+class _Code(HTMLParser):
+    """Blocks of code as a reader sees them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.blocks: list[str] = []
+        self.inside = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "pre":
+            self.blocks.append("")
+            self.inside = True
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag == "pre":
+            self.inside = False
+
+    def handle_data(self, data: str) -> None:
+        if self.inside:
+            self.blocks[-1] += data
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site as make docs builds it."""
+    folder = tmp_path_factory.mktemp("docs")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        capture_output=True, text=True, cwd=ROOT, check=False,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
 def test_the_reference_lists_every_public_name_and_room() -> None:
     pages = [(ROOT / "docs" / name).read_text("utf-8") for name in ("reference.md", "rooms.md")]
     names, rooms = (set(re.findall(r"^::: insonify\.(\w+)", page, re.M)) for page in pages)
@@ -41,25 +80,40 @@ def test_the_reference_lists_every_public_name_and_room() -> None:
     assert rooms == parts - INTERNAL
 
 
+def _shown() -> list[tuple[str, str, int]]:
+    """Page, example and first line of each example that the docs mean to show."""
+    return [
+        (page.stem, name, int(line))
+        for page in sorted((ROOT / "docs").glob("*.md"))
+        for name, line in EXAMPLE.findall(page.read_text("utf-8"))
+    ]
+
+
 def test_examples_are_shown_from_their_first_import() -> None:
-    shown = 0
-    for page in (ROOT / "docs").glob("*.md"):
-        for name, line in re.findall(r'"(examples/[\w.]+):(\d+)"', page.read_text("utf-8")):
-            lines = (ROOT / name).read_text("utf-8").splitlines()
-            first = next(k for k, text in enumerate(lines, 1) if text.startswith("import"))
-            assert int(line) == first, f"{page.name}: {name}"
-            shown += 1
-    assert shown >= 5
+    shown = _shown()
+    assert len(shown) >= 5
+    for page, name, line in shown:
+        lines = (ROOT / name).read_text("utf-8").splitlines()
+        first = next(k for k, text in enumerate(lines, 1) if text.startswith("import"))
+        assert line == first, f"{page}: {name}"
 
 
-def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
-        capture_output=True, text=True, cwd=ROOT, check=False,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    pages = sorted(tmp_path.glob("*.html"))
+def test_the_built_pages_show_the_examples(site: Path) -> None:
+    for page, name, line in _shown():
+        code = _Code()
+        code.feed((site / f"{page}.html").read_text("utf-8"))
+        lines = (ROOT / name).read_text("utf-8").splitlines()
+        assert "\n".join(lines[line - 1 :]) in [text.strip() for text in code.blocks], name
+
+
+def test_no_built_page_has_a_mark_that_includes_nothing(site: Path) -> None:
+    for page in site.glob("*.html"):
+        text = html.unescape(re.sub(r"<[^>]*>", "", page.read_text("utf-8")))
+        assert not re.search(r"-\s*-\s*8\s*<\s*-\s*-", text), page.name
+
+
+def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
+    pages = sorted(site.glob("*.html"))
     assert {"index.html", "reference.html", "rooms.html", "view.html"} <= {p.name for p in pages}
     for page in pages:
         loads = _Loads()
@@ -67,8 +121,32 @@ def test_the_site_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> Non
         assert loads.found
         assert [url for url in loads.found if re.match(r"(https?:)?//", url)] == [], page.name
         if page.name != "404.html":
-            missing = [u for u in loads.found if u and not (tmp_path / u.split("?")[0]).is_file()]
+            missing = [u for u in loads.found if u and not (site / u.split("?")[0]).is_file()]
             assert [u for u in missing if not u.startswith("data:")] == [], page.name
-    reference = html.unescape((tmp_path / "reference.html").read_text(encoding="utf-8"))
+    reference = html.unescape((site / "reference.html").read_text(encoding="utf-8"))
     for name in ("execute", "open_recording", "Sonar", "VoxelMap"):
         assert str(getattr(insonify, name).__doc__).splitlines()[0] in reference, name
+
+
+def test_the_search_has_its_index_as_a_script(site: Path) -> None:
+    index = (site / "search" / "search_index.js").read_text("utf-8")
+    assert index.startswith("var __index = {") and "entropy_map" in index
+    for page in site.glob("*.html"):
+        loads = _Loads()
+        loads.feed(page.read_text("utf-8"))
+        workers = [url for url in loads.found if "iframe-worker" in url]
+        assert len(workers) == 1 and (site / workers[0].lstrip("/")).is_file(), page.name
+
+
+def test_the_search_finds_from_a_file(site: Path, browser: Any) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    browser.get((site / "index.html").as_uri())
+    browser.find_element("css selector", "body").send_keys("/")
+    browser.switch_to.active_element.send_keys("entropy_map")
+    target = (site / "rooms.html").as_uri() + "#insonify.planning.entropy.entropy_map"
+    results = "return [...document.querySelectorAll('a.md-search-result__link')].map(a => a.href)"
+    # results come while letters do
+    WebDriverWait(browser, 30).until(lambda page: target in page.execute_script(results))
+    assert all(link.startswith(site.as_uri()) for link in browser.execute_script(results))
+    assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
