@@ -1,13 +1,13 @@
 # Two commands on a fresh machine with Python 3.11+ and make:
 #   make demo   sets up, scans the tetrapod, says where the report is
 #   make test   sets up, runs every check
-# and make docs, which builds the docs site into build/docs
+# and make docs, which builds the docs site into build/docs, and make coverage
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test lint types check docs bench clean
+.PHONY: setup demo test lint types check coverage docs bench clean
 
 setup: $(READY)
 
@@ -31,6 +31,15 @@ types: setup
 
 check: setup
 	$(BIN)/pytest
+
+# Kernels run compiled, where no line is seen to run, so they are left out of the count.
+coverage: setup
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage html --quiet
+	$(BIN)/coverage report
+	@echo "Lines not run: build/coverage/html/index.html"
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
