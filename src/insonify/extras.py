@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 
 from insonify.errors import MissingExtraError
 
 
 def optional(module: str, extra: str, purpose: str) -> ModuleType:
-    """Import a module of an extra.
+    """Import a module of a group.
+
+    Args:
+        module: Its name.
+        extra: The group.
+        purpose: What needs it, for the message.
 
     Raises:
         MissingExtraError: It is not installed.
@@ -19,23 +23,26 @@ def optional(module: str, extra: str, purpose: str) -> ModuleType:
     try:
         return import_module(module)
     except ImportError as err:
-        raise MissingExtraError(
-            f"{purpose} needs {module}, which is not installed; "
-            f"run: pip install 'insonify[{extra}]'"
-        ) from err
+        raise _missing(module.partition(".")[0], extra, f"{purpose} needs") from err
 
 
-@contextmanager
-def needed(extra: str, purpose: str) -> Iterator[None]:
-    """Around the imports of a module that cannot do without a group of libraries.
+def require(extra: str, purpose: str, *modules: str) -> None:
+    """Refuse to go on without a group; a room that is made of it calls this first.
+
+    Args:
+        extra: The group.
+        purpose: What needs it, in the plural, for the message.
+        modules: What must be installed; nothing is imported.
 
     Raises:
         MissingExtraError: One of them is not installed.
     """
-    try:
-        yield
-    except ModuleNotFoundError as err:
-        raise MissingExtraError(
-            f"{purpose} need {err.name}, which is not installed; run: pip install "
-            f"'insonify[{extra}]'"
-        ) from err
+    for module in modules:
+        if find_spec(module) is None:
+            raise _missing(module, extra, f"{purpose} need")
+
+
+def _missing(module: str, extra: str, what_needs: str) -> MissingExtraError:
+    return MissingExtraError(
+        f"{what_needs} {module}, which is not installed; run: pip install 'insonify[{extra}]'"
+    )

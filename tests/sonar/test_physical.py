@@ -15,6 +15,7 @@ from insonify.sonar.devices import SonarDevice
 from insonify.sonar.histogram import EchoHistogram
 from insonify.sonar.physical import (
     PhysicalSettings,
+    Receiver,
     Speckle,
     SpeckleField,
     array_pattern,
@@ -51,10 +52,13 @@ def _levels(
     """Received levels in dB."""
     histogram = EchoHistogram(echo.astype(np.float32), (echo > 0).astype(np.float32))
     image = form_physical(
-        histogram, GEOMETRY, SonarDevice(frequency_khz=700.0), settings, water,
-        SpeckleField(), Pose(0, 0, 0),
+        histogram,
+        GEOMETRY,
+        Receiver(SonarDevice(frequency_khz=700.0), settings, water),
+        SpeckleField(),
+        Pose(0, 0, 0),
         rng or np.random.default_rng(0),
-    )  # fmt: skip
+    )
     levels: Float64 = image.astype(float) * settings.display_range_db + settings.display_floor_db
     return levels
 

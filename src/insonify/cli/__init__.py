@@ -13,7 +13,7 @@ from typing import Annotated, Any, TextIO, cast
 
 import typer
 
-from insonify.cli.progress import announce_compiling
+from insonify.cli.progress import show_log
 from insonify.cli.root import EXIT_BAD_INPUT, EXIT_INTERRUPTED, Interrupted, app
 from insonify.errors import InsonifyError
 
@@ -98,7 +98,7 @@ def main() -> None:
     """Run the command line; bad input is one sentence and exit code 2."""
     signal.signal(signal.SIGINT, _interrupt)
     warnings.showwarning = _show_warning
-    announce_compiling()
+    show_log()
     if len(sys.argv) == 1:
         app()  # shows the help
     try:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -42,19 +45,22 @@ if TYPE_CHECKING:
     from insonify.mission.run import Run
 
 
+PlannersOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--planner",
+        metavar="NAME",
+        help="Compare these, by name or your own: module:Name, file.py:Name; may be repeated. By "
+        "default entropy, uniform, lawnmower.",
+    ),
+]
+
+
 @app.command()
 def compare(
     names: Annotated[list[str], typer.Argument(metavar="SCENARIO...", help="Scenarios.")],
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each planner, seeds from 0.")] = 5,
-    planners: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--planner",
-            metavar="NAME",
-            help="Compare these, by name or your own: module:Name, file.py:Name; may be repeated. "
-            "By default entropy, uniform, lawnmower.",
-        ),
-    ] = None,
+    planners: PlannersOption = None,
     mapper: MapperOption = None,
     vehicle: VehicleOption = None,
     current: CurrentOption = None,
@@ -68,12 +74,6 @@ def compare(
 
     With a vehicle: compare maps made by its own navigation with those of perfect navigation.
     """
-    from contextlib import ExitStack
-
-    from insonify.io.folders import result_folder
-    from insonify.mission.campaign import summarise, summarise_navigation
-    from insonify.results.comparison import save_comparison
-
     if vehicle is None and current is not None:
         raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
     if vehicle is not None and planners:
@@ -83,29 +83,47 @@ def compare(
         )
     chosen = choices(vehicle=vehicle_table(vehicle, current), mapper=absolute(mapper))
     layers = [*file_layers(config), chosen, *_compared(settings, vehicle)]
-    with ExitStack() as stack:
-        place = stack.enter_context(result_folder(out, force=force)) if out is not None else None
-        interrupted = stack.enter_context(interruptible())
+    flown = vehicle is not None
+    with result_folder_if(out, force) as scratch, interruptible() as interrupted:
         with shown_run() as watch:
-            rows = _runs(names, seeds, layers, planners, vehicle is not None, watch, interrupted)
+            rows = _runs(names, seeds, layers, planners, flown, watch, interrupted)
         if not rows:
             print("insonify: interrupted before the first run was complete", file=sys.stderr)
             raise typer.Exit(EXIT_INTERRUPTED)
-        table = summarise(rows) if vehicle is None else summarise_navigation(rows)
-        if place is not None:
-            save_comparison(rows, table, place.scratch)
-    if as_json:
-        runs = [row.to_json() for row in rows]
-        print(json.dumps({"runs": runs, "table": table}, indent=2))
-    elif vehicle is None:
-        print_comparison(table)
-    else:
-        print_navigation(table)
-    if place is not None:
-        print(f"Rows: {place.target}", file=sys.stderr)
+        _tell(rows, scratch, flown=flown, as_json=as_json)
+    if out is not None:
+        print(f"Rows: {out}", file=sys.stderr)
     if interrupted():
         print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@contextmanager
+def result_folder_if(out: Path | None, force: bool) -> Iterator[Path | None]:
+    """Where results are written, if they are wanted."""
+    from insonify.io.folders import result_folder
+
+    if out is None:
+        yield None
+    else:
+        with result_folder(out, force=force) as place:
+            yield place.scratch
+
+
+def _tell(rows: list[ScanResult], folder: Path | None, *, flown: bool, as_json: bool) -> None:
+    """Write and print the table."""
+    from insonify.mission.campaign import summarise, summarise_navigation
+    from insonify.results.comparison import save_comparison
+
+    table = summarise_navigation(rows) if flown else summarise(rows)
+    if folder is not None:
+        save_comparison(rows, table, folder)
+    if as_json:
+        print(json.dumps({"runs": [row.to_json() for row in rows], "table": table}, indent=2))
+    elif flown:
+        print_navigation(table)
+    else:
+        print_comparison(table)
 
 
 def _runs(

@@ -29,7 +29,6 @@ from insonify.cli.root import (
     world_and_layers,
     world_table,
 )
-from insonify.errors import MemoryLimitError, OutputError
 
 if TYPE_CHECKING:
     from insonify.mission.result import DatasetResult
@@ -57,68 +56,34 @@ def dataset(
     as_json: JsonOption = False,
 ) -> None:
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
-    from insonify.config.toml import config_to_toml
     from insonify.imaging.dataset import dataset_config
-    from insonify.io.folders import result_folder, unused_folder
-    from insonify.results.dataset import DONE, all_cores, write_dataset
-    from insonify.results.scratch import OWNER, claim, find_unfinished
+    from insonify.io.folders import unused_folder
+    from insonify.results.dataset import all_cores, make_dataset
 
     chosen = choices(
         sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count
     ) | world_table(search, materials)
     full = dataset_config(*world_and_layers(world, config, settings, chosen))
     folder = out or unused_folder(Path("insonify-runs") / f"{full.world_name}-dataset")
-    text = config_to_toml(full, "dataset") + _contents(full.materials)
-    before = find_unfinished(folder, text, DONE)
     with (
-        result_folder(folder, force=force) as place,
         interruptible("stopping after the views that are being made") as interrupted,
+        progress("views", full.count) as bar,
     ):
-        if before is not None:
-            before.replace(place.scratch)
-        claim(place.scratch, text)
-        try:
-            with progress("views", full.count) as bar:
-                result = write_dataset(
-                    full,
-                    place.scratch,
-                    workers=workers or all_cores(),
-                    watch=lambda done: bar.show(done, note=f"{done} of {full.count}"),
-                    should_stop=interrupted,
-                )
-        except (OSError, OutputError, MemoryLimitError):
-            _keep(place.scratch, full.count)
-            raise
-        if result is None:
-            _keep(place.scratch, full.count)
-            raise typer.Exit(EXIT_INTERRUPTED)
-        (place.scratch / OWNER).unlink()
+        result, target = make_dataset(
+            full,
+            folder,
+            force=force,
+            workers=workers or all_cores(),
+            watch=lambda done: bar.show(done, note=f"{done} of {full.count}"),
+            should_stop=interrupted,
+        )
+    if result is None:
+        raise typer.Exit(EXIT_INTERRUPTED)
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:
         _print_result(result)
-    print(f"Dataset: {place.target}", file=sys.stderr)
-
-
-def _contents(materials: str) -> str:
-    """The table of materials as comments, so that another one makes another dataset."""
-    if not materials:
-        return ""
-    lines = Path(materials).read_text(encoding="utf-8").splitlines()
-    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
-
-
-def _keep(scratch: Path, count: int) -> None:
-    """Leave what is whole for the same command to go on with."""
-    from insonify.results.dataset import DONE
-
-    kept = scratch.with_name(f"{scratch.name}-kept")
-    scratch.replace(kept)
-    done = sum(1 for _ in (kept / DONE).glob("*.json"))
-    print(
-        f"insonify: stopped after {done} of {count} views; the same command goes on from there",
-        file=sys.stderr,
-    )
+    print(f"Dataset: {target}", file=sys.stderr)
 
 
 def _print_result(result: DatasetResult) -> None:

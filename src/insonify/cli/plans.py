@@ -21,12 +21,27 @@ from insonify.cli.root import (
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
+    from insonify.io.datum import Datum
     from insonify.mapping.voxels import VoxelMap
     from insonify.mission.setup import Config
     from insonify.planning.active import EntropySettings
     from insonify.planning.decision import Decision
     from insonify.sonar.devices import SonarDevice
     from insonify.types import Box, Pose
+
+
+RegionOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Where uncertainty counts; default: the map's."
+    ),
+]
+DatumOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'LAT LON [HEIGHT]'", help="Of the map's origin (WGS 84), for GeoJSON and QGC."
+    ),
+]
 
 
 @app.command()
@@ -44,18 +59,8 @@ def plan(
         str | None,
         typer.Option(metavar="NAME|FILE.toml", help="By default the one beside the map."),
     ] = None,
-    region: Annotated[
-        str | None,
-        typer.Option(
-            metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Where uncertainty counts; default: the map's."
-        ),
-    ] = None,
-    datum: Annotated[
-        str | None,
-        typer.Option(
-            metavar="'LAT LON [HEIGHT]'", help="Of the map's origin (WGS 84), for GeoJSON and QGC."
-        ),
-    ] = None,
+    region: RegionOption = None,
+    datum: DatumOption = None,
     waypoints: Annotated[int, typer.Option(min=1, max=10000, help="Of the scan.")] = 40,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the path.")] = Path("plan"),
     settings: SetOption = None,
@@ -64,9 +69,7 @@ def plan(
 ) -> None:
     """Plan the next scan path from a map: where it would resolve most of what is undecided."""
     from insonify.cli.recordings import box_from_text
-    from insonify.io.folders import result_folder
-    from insonify.io.plans import save_plan
-    from insonify.planning.once import clearance_m, plan_next
+    from insonify.planning.once import plan_next
     from insonify.results.map import load_mapper
 
     pose = _pose(from_)
@@ -74,12 +77,30 @@ def plan(
     entropy = _entropy(settings)
     file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
     mapper = load_mapper(map_)
-    voxels = mapper.voxels
     device = _device(file, sonar)
-    box = box_from_text(region) if region is not None else _region(file, voxels)
+    box = box_from_text(region) if region is not None else _region(file, mapper.voxels)
+    decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
+    _write(mapper.voxels, decision, pose, box, place, out, force=force, as_json=as_json)
+
+
+def _write(
+    voxels: VoxelMap,
+    decision: Decision,
+    pose: Pose,
+    region: Box,
+    place: Datum | None,
+    out: Path,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write a decision's path, and say what came of it."""
+    from insonify.io.folders import result_folder
+    from insonify.io.plans import save_plan
+    from insonify.planning.once import clearance_m
+
+    document = _describe(decision, pose, region)
     with result_folder(out, force=force) as folder:
-        decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
-        document = _describe(decision, pose, box)
         if decision.path is not None:
             document["clearance_m"] = round(clearance_m(voxels, pose, decision.path), 3)
             document["files"] = save_plan(decision.path, folder.scratch, place)

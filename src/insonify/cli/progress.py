@@ -109,28 +109,36 @@ def progress(name: str, total: int | None = None) -> Iterator[Bar]:
         yield bar
 
 
-class _Compiling(logging.Handler):
-    """Tells that kernels are compiled: once in words, and then how many."""
+class _Log(logging.Handler):
+    """Shows what the library says; of kernels being compiled, once in words and then how many."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
-        self.count = 0
+        self.compiled = 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """One more."""
-        if record.levelno > logging.INFO:
-            print(f"insonify: {record.getMessage()}", file=sys.stderr)
-            return
-        if self.count == 0:
-            print(f"insonify: {ANNOUNCEMENT}", file=sys.stderr)
-        self.count += 1
-        for bar in _drawn:
-            bar.tell(f"compiling kernel {self.count}")
+        """Show one message."""
+        compiling = record.name == "insonify.jit" and record.levelno == logging.INFO
+        if not compiling or self.compiled == 0:
+            text = ANNOUNCEMENT if compiling else record.getMessage()
+            print(f"insonify: {text}", file=sys.stderr)
+        if compiling:
+            self.compiled += 1
+            for bar in _drawn:
+                bar.tell(f"compiling kernel {self.compiled}")
 
 
-def announce_compiling() -> None:
-    """From now on, say when kernels are compiled."""
-    log = logging.getLogger("insonify.jit")
+_shown = _Log()
+
+
+def show_log() -> None:
+    """From now on, show what the library logs."""
+    log = logging.getLogger("insonify")
     log.setLevel(logging.INFO)
     log.propagate = False
-    log.handlers[:] = [_Compiling()]
+    log.handlers[:] = [_shown]
+
+
+def compiled_kernels() -> int:
+    """How many kernels were compiled since the log is shown."""
+    return _shown.compiled

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from insonify.mission.loop import Step
     from insonify.mission.result import ScanResult
     from insonify.mission.run import Run
+    from insonify.mission.setup import Config
 
 
 @app.command()
@@ -74,15 +74,6 @@ def scan(
     as_json: JsonOption = False,
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
-    from insonify.cli.views import live_page, serve
-    from insonify.config.toml import config_to_toml
-    from insonify.io.folders import result_folder, unused_folder
-    from insonify.mission.run import execute
-    from insonify.results.recorder import RECORDING, recording
-    from insonify.results.resume import remembered
-    from insonify.results.scan import save_scan
-    from insonify.results.scratch import OWNER, claim, find_unfinished
-
     chosen = choices(
         planner=absolute(planner),
         mapper=absolute(mapper),
@@ -95,34 +86,35 @@ def scan(
     full = configure(scenario, config, settings, chosen)
     check_vehicle(full, current=current, navigation=navigation, real_time=real_time)
     pace = wall_clock() if real_time else lambda time_s: None
-    name = f"{full.scenario}-{_short(full.planner)}-seed{full.seed}"
+    _scan(full, out, force=force, live=live, as_json=as_json, pace=pace)
+
+
+def _scan(
+    config: Config,
+    out: Path | None,
+    *,
+    force: bool,
+    live: bool,
+    as_json: bool,
+    pace: Callable[[float], None],
+) -> None:
+    from insonify.cli.views import live_page, serve
+    from insonify.io.folders import unused_folder
+    from insonify.results.scan import REPORT, run_scan
+
+    name = f"{config.scenario}-{_short(config.planner)}-seed{config.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
-    text = config_to_toml(full, "scan")
-    before = find_unfinished(folder, text, RECORDING)
-    with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        claim(place.scratch, text)
-        known, past = remembered(before) if before is not None else (0, iter(()))
-        if known:
-            print(f"insonify: going on after the {known} pings of a scan that was broken off",
-                  file=sys.stderr)  # fmt: skip
-        page = live_page(name) if live else None
-        with shown_run() as show, recording(place.scratch) as record:
-            run = execute(
-                full,
-                remembered=past,
-                watch=_each(show, record, *([page.watch] if page else [])),
-                should_stop=interrupted,
-                pace=pace,
-            )
-        result = save_scan(run, place.scratch)
-        (place.scratch / OWNER).unlink()
-    if before is not None:
-        shutil.rmtree(before, ignore_errors=True)
+    page = live_page(name) if live else None
+    with interruptible() as interrupted, shown_run() as show:
+        watch = _each(show, *([page.watch] if page else []))
+        result, target = run_scan(
+            config, folder, force=force, watch=watch, should_stop=interrupted, pace=pace
+        )
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:
         print_result(result)
-    print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
+    print(f"Report: {target / REPORT}", file=sys.stderr)
     if interrupted():
         print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)

@@ -39,31 +39,36 @@ if TYPE_CHECKING:
     from insonify.mission.result import ImagesResult
 
 
+WorldArgument = Annotated[
+    str | None,
+    typer.Argument(
+        help="SDF world or model, mesh file, scenario, or tank, grid, structures; or a named "
+        "simulation: fls-tank, fls-grid, fls-structures, msis-tank, msis-turning, msis-structures."
+    ),
+]
+PoseOption = Annotated[
+    str | None,
+    typer.Option(metavar="'X Y Z ROLL PITCH YAW'", help="Ping here: metres, degrees."),
+]
+PathOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Ping along these poses: CSV with x_m, ... or TUM."),
+]
+OrbitOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="'X Y Z RADIUS COUNT PITCH'", help="Ping around x, y at height z, looking in."
+    ),
+]
+
+
 @app.command()
 def simulate(
-    world: Annotated[
-        str | None,
-        typer.Argument(
-            help="SDF world or model, mesh file, scenario, or tank, grid, structures; or a named "
-            "simulation: fls-tank, fls-grid, fls-structures, msis-tank, msis-turning, "
-            "msis-structures."
-        ),
-    ] = None,
+    world: WorldArgument = None,
     sonar: Annotated[str | None, typer.Option(help="A device; see: sonars")] = None,
-    pose: Annotated[
-        str | None,
-        typer.Option(metavar="'X Y Z ROLL PITCH YAW'", help="Ping here: metres, degrees."),
-    ] = None,
-    path: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Ping along these poses: CSV with x_m, ... or TUM."),
-    ] = None,
-    orbit: Annotated[
-        str | None,
-        typer.Option(
-            metavar="'X Y Z RADIUS COUNT PITCH'", help="Ping around x, y at height z, looking in."
-        ),
-    ] = None,
+    pose: PoseOption = None,
+    path: PathOption = None,
+    orbit: OrbitOption = None,
     model: ModelOption = None,
     renderer: RendererOption = None,
     truth: Annotated[
@@ -82,22 +87,36 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a sonar in a world: images, arrays with their geometry, and their truth."""
-    from insonify.imaging.route import simulate as run
     from insonify.imaging.route import simulation_config
-    from insonify.io.folders import result_folder, unused_folder
-    from insonify.results.images import ImagesWriter
-    from insonify.sonar.camera import Camera
 
     chosen = choices(sonar=absolute(sonar), model=model, renderer=renderer, seed=seed)
     chosen |= world_table(search, materials) | _route(pose, path, orbit)
     full = simulation_config(*world_and_layers(world, config, settings, chosen))
-    scene = full.scene()
-    eye = Camera(full.camera) if camera else None
-    folder = out or unused_folder(Path("insonify-runs") / f"{full.world_name}-{full.sonar.name}")
+    _simulate(full, out, force=force, truth=truth, camera=camera, as_json=as_json)
+
+
+def _simulate(
+    config: Simulation,
+    out: Path | None,
+    *,
+    force: bool,
+    truth: bool,
+    camera: bool,
+    as_json: bool,
+) -> None:
+    from insonify.imaging.route import simulate as run
+    from insonify.io.folders import result_folder, unused_folder
+    from insonify.results.images import ImagesWriter
+    from insonify.sonar.camera import Camera
+
+    scene = config.scene()
+    eye = Camera(config.camera) if camera else None
+    name = f"{config.world_name}-{config.sonar.name}"
+    folder = out or unused_folder(Path("insonify-runs") / name)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        writer = ImagesWriter(full, scene.labels, place.scratch)
-        with _progress(full) as watch:
-            for record in run(full, scene, with_truth=truth, camera=eye):
+        writer = ImagesWriter(config, scene.labels, place.scratch)
+        with _progress(config) as watch:
+            for record in run(config, scene, with_truth=truth, camera=eye):
                 watch(record)
                 writer.write(record)
                 if interrupted():

@@ -17,7 +17,9 @@ from insonify.cli.root import (
     ConfigOption,
     ForceOption,
     JsonOption,
+    MaterialsOption,
     OutOption,
+    SearchOption,
     SetOption,
     absolute,
     app,
@@ -25,6 +27,7 @@ from insonify.cli.root import (
     file_layers,
     interruptible,
     single_layers,
+    world_table,
 )
 from insonify.cli.vehicles import (
     CurrentOption,
@@ -38,7 +41,7 @@ from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
     from insonify.cli.progress import Bar
-    from insonify.imaging.tour import TourPing
+    from insonify.imaging.tour import Tour, TourPing
     from insonify.results.tour import TourWriter
     from insonify.types import StopReason
     from insonify.vehicle.craft import Craft
@@ -66,6 +69,8 @@ def fly(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
     real_time: RealTimeOption = False,
+    search: SearchOption = None,
+    materials: MaterialsOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -73,9 +78,7 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly a vehicle with several sonars over a world; each pings on its own clock."""
-    from insonify.imaging.tour import tour, tour_config
-    from insonify.io.folders import result_folder, unused_folder
-    from insonify.results.tour import TourWriter
+    from insonify.imaging.tour import tour_config
 
     chosen = choices(
         world=absolute(world),
@@ -83,18 +86,33 @@ def fly(
         sonars=absolute(sonars),
         vehicle=vehicle_table(vehicle, current, navigation),
         waypoints=_waypoints(waypoints, path),
-    )
+    ) | world_table(search, materials)
     full = tour_config([*file_layers(config), chosen, *single_layers(settings)])
-    scene = full.scene()
-    folder = out or unused_folder(Path("insonify-runs") / f"fly-{full.world_name}")
     pace = wall_clock() if real_time else lambda time_s: None
+    _fly(full, out, force=force, as_json=as_json, pace=pace)
+
+
+def _fly(
+    config: Tour,
+    out: Path | None,
+    *,
+    force: bool,
+    as_json: bool,
+    pace: Callable[[float], None],
+) -> None:
+    from insonify.imaging.tour import tour
+    from insonify.io.folders import result_folder, unused_folder
+    from insonify.results.tour import TourWriter
+
+    scene = config.scene()
+    folder = out or unused_folder(Path("insonify-runs") / f"fly-{config.world_name}")
     with (
         result_folder(folder, force=force) as place,
         interruptible() as interrupted,
-        TourWriter(full, place.scratch) as writer,
+        TourWriter(config, place.scratch) as writer,
         progress("flying") as bar,
     ):
-        craft, reason = _flown(tour(full, scene, pace), writer, bar, interrupted)
+        craft, reason = _flown(tour(config, scene, pace), writer, bar, interrupted)
         bar.show(name="writing")
         result = writer.finish(craft, reason)
     if as_json:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from insonify.cli.progress import progress
+from insonify.cli.progress import compiled_kernels, progress
 from insonify.cli.root import JsonOption, app
 
 
@@ -26,11 +26,8 @@ def warm_up(
             warm_up_step(name)
     from insonify.jit import KERNELS, cache_folder
 
-    compiled = sum(1 for one in KERNELS if one.signatures)
     if as_json:
-        print(json.dumps({"kernels": len(KERNELS), "compiled": compiled}, indent=2))
+        print(json.dumps({"kernels": len(KERNELS), "compiled": compiled_kernels()}, indent=2))
     elif not quiet:
-        where = "nowhere, as no folder can be written" if cache_folder() is None else "on disk"
-        print(
-            f"{compiled} of {len(KERNELS)} kernels are compiled and kept {where}", file=sys.stderr
-        )
+        kept = "" if cache_folder() is not None else "; none is kept, as no folder can be written"
+        print(f"{len(KERNELS)} kernels, {compiled_kernels()} compiled now{kept}", file=sys.stderr)

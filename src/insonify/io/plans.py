@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from insonify.io.datum import Datum
-from insonify.io.recordings.ros import messages
-from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.types import Pose, ScanPath
 
 _WAYPOINT, _RELATIVE_ALTITUDE, _ARDUPILOT, _SUBMARINE = 16, 3, 3, 12
@@ -33,7 +31,13 @@ def save_plan(path: ScanPath, folder: Path, datum: Datum | None) -> list[str]:
 
     Returns:
         The names of the files.
+
+    Raises:
+        MissingExtraError: The packages for ROS messages are not installed.
     """
+    from insonify.io.recordings.ros import messages
+    from insonify.io.recordings.ros.mcap_writing import McapWriter
+
     texts = {"path.csv": _csv(path, datum), "path.yaml": _ros_yaml(path)}
     if datum is not None:
         texts["path.geojson"] = json.dumps(_geojson(path, datum), indent=2) + "\n"
@@ -64,6 +68,8 @@ def _csv(path: ScanPath, datum: Datum | None) -> str:
 
 def _ros_yaml(path: ScanPath) -> str:
     """A nav_msgs/Path as YAML's JSON subset: ``ros2 topic pub --once /plan nav_msgs/msg/Path``."""
+    from insonify.io.recordings.ros import messages
+
     return json.dumps(_plain(messages.path(path.waypoints, 0, "map")), indent=1) + "\n"
 
 

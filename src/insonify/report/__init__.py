@@ -1,1 +1,5 @@
-"""Reports: pictures of a run, and the one HTML file that shows them all."""
+"""Pictures, and reports that open offline."""
+
+from insonify.extras import require
+
+require("reports", "reports and pictures", "matplotlib", "jinja2", "plotly")

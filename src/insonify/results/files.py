@@ -11,7 +11,7 @@ from insonify.errors import ConfigError, ResultError
 from insonify.mission.result import RESULTS, Result
 from insonify.types import StopReason
 
-RESULT, CONFIG = "result.json", "config.toml"
+RESULT, CONFIG, RECORDING = "result.json", "config.toml", "recording.mcap"
 _TELLING = {
     "recordings": "map",
     "stop_reason": "scan",

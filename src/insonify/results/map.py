@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from pydantic import Field
 from insonify.config.layers import read_table
 from insonify.config.settings import Settings, validated
 from insonify.config.toml import to_toml
+from insonify.errors import MissingExtraError
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings
@@ -18,10 +20,11 @@ from insonify.mission.remap import Remap
 from insonify.mission.result import MapResult
 from insonify.planning.active import EntropySettings
 from insonify.planning.entropy import entropy_map
-from insonify.report.map_html import write_map_report
 from insonify.results.files import CONFIG, save_result
 from insonify.results.mappers import load_state, save_mapper
 from insonify.sonar.devices import device_of
+
+_log = logging.getLogger(__name__)
 
 
 class MapConfig(Settings):
@@ -55,8 +58,18 @@ def save_remap(remap: Remap, folder: Path, config: MapConfig) -> MapResult:
     )
     device = device_of(remap.fans[0], "recorded")
     (folder / "sonar.toml").write_text(to_toml(device), encoding="utf-8")
-    write_map_report(remap, folder / "report.html")
+    _report(remap, folder / "report.html")
     return result
+
+
+def _report(remap: Remap, path: Path) -> None:
+    """The report; without the packages for it a map is whole too, and its log says what lacks."""
+    try:
+        from insonify.report.map_html import write_map_report
+    except MissingExtraError as err:
+        _log.warning("no report is written: %s", err)
+    else:
+        write_map_report(remap, path)
 
 
 def load_mapper(path: Path | str) -> Mapper:

@@ -19,6 +19,7 @@ from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.mapping.voxels import probability_from_log_odds
 from insonify.mission.loop import Decided, Pinged, Scanned, Step
 from insonify.mission.run import Flight, Run
+from insonify.results.files import RECORDING
 from insonify.types import Pose, PosedPing
 from insonify.vehicle.craft import Craft, ImuReading
 
@@ -26,7 +27,6 @@ IMAGES, STATES, PICTURES = "/sonar/image", "/sonar/state", "/sonar/polar"
 ESTIMATE, TRUTH = "/odometry", "/ground_truth/odometry"
 PLANS, OCCUPIED = "/plan", "/map/occupied"
 IMU, DVL = "/imu", "/dvl"
-RECORDING = "recording.mcap"
 SOUND_SPEED_MPS = 1500.0
 """Told in each ping; the simulator's ranges are exact at any speed."""
 _STEP_NS = 100_000_000

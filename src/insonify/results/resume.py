@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from insonify.errors import RecordingError
+from insonify.io.recordings.magic import MCAP_MAGIC
 from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.bags import DAMAGE, open_bag
 from insonify.io.recordings.ros.recording import read_bag
 from insonify.mission.run import Remembered
-from insonify.results.recorder import RECORDING, STATES
+from insonify.results.files import RECORDING
+from insonify.results.recorder import STATES
 
 
 def remembered(folder: Path) -> tuple[int, Iterator[Remembered]]:
@@ -24,9 +26,10 @@ def remembered(folder: Path) -> tuple[int, Iterator[Remembered]]:
     """
     path = folder / RECORDING
     with path.open("rb") as file:
-        bag = open_bag(path, file.read(16))
-    if bag is None:
+        head = file.read(16)
+    if not head.startswith(MCAP_MAGIC):
         return 0, iter(())
+    bag = open_bag(path, head)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)  # that it is cut off is why we are here
         try:

@@ -2,27 +2,87 @@
 
 from __future__ import annotations
 
+import logging
+import shutil
+from collections.abc import Callable
 from itertools import accumulate
 from pathlib import Path
 
 from insonify.config.layers import read_table
-from insonify.errors import ResultError
+from insonify.config.toml import config_to_toml
+from insonify.errors import MissingExtraError, ResultError
 from insonify.io.decisions import load_decisions, save_decisions
+from insonify.io.folders import result_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.io.recordings import open_recording
 from insonify.io.trajectories import load_track, save_track
 from insonify.io.truth import load_truth, save_truth
 from insonify.mission.account import Account
+from insonify.mission.loop import Step
 from insonify.mission.result import ScanResult
-from insonify.mission.run import KEYFRAMES, Run
-from insonify.report.html import write_report
-from insonify.results.files import CONFIG, RESULT, load_result, save_result
+from insonify.mission.run import KEYFRAMES, Run, execute
+from insonify.mission.setup import Config
+from insonify.results.files import CONFIG, RECORDING, RESULT, load_result, save_result
 from insonify.results.mappers import save_mapper
-from insonify.results.recorder import RECORDING
+from insonify.results.scratch import OWNER, claim, find_unfinished
 from insonify.types import Box, PosedPing, ScanPath
 
 MAP, CLOUD, DECISIONS, TRUTH = "map.npz", "map.ply", "decisions.npz", "truth.npz"
 TRACK, REPORT = "trajectory.csv", "report.html"
+
+_log = logging.getLogger(__name__)
+
+
+def run_scan(
+    config: Config,
+    target: Path,
+    *,
+    force: bool = False,
+    watch: Callable[[Run, Step], None] = lambda run, step: None,
+    should_stop: Callable[[], bool] = lambda: False,
+    pace: Callable[[float], None] = lambda time_s: None,
+) -> tuple[ScanResult, Path]:
+    """Run a scan and leave all of it in a folder, which appears when it is whole.
+
+    A scan of the same config to the same folder whose process was killed is gone on with.
+
+    Args:
+        config: What to run.
+        target: The folder.
+        force: Replace the results in it.
+        watch: Called after every step.
+        should_stop: Asked after every ping; if true the run ends there, scored as it stands.
+        pace: Called with a vehicle's time as it goes on; it may wait.
+
+    Returns:
+        The figures, and the folder, which has another name if ``target`` was taken meanwhile.
+
+    Raises:
+        OutputError: The folder exists, or cannot be written.
+        InsonifyError: The config does not make a world that can be scanned.
+    """
+    from insonify.results.recorder import recording
+    from insonify.results.resume import remembered
+
+    text = config_to_toml(config, "scan")
+    before = find_unfinished(target, text, RECORDING)
+    with result_folder(target, force=force) as place:
+        claim(place.scratch, text)
+        known, past = remembered(before) if before is not None else (0, iter(()))
+        if known:
+            _log.info("going on after the %d pings of a scan that was broken off", known)
+        with recording(place.scratch) as record:
+
+            def each(run: Run, step: Step) -> None:
+                watch(run, step)
+                record(run, step)
+
+            run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
+        result = save_scan(run, place.scratch)
+        (place.scratch / OWNER).unlink()
+    if before is not None:
+        shutil.rmtree(before, ignore_errors=True)
+    return result, place.target
 
 
 def save_scan(run: Run, folder: Path) -> ScanResult:
@@ -38,8 +98,18 @@ def save_scan(run: Run, folder: Path) -> ScanResult:
     save_point_cloud(account.voxels, folder / CLOUD, threshold, account.region)
     save_decisions(folder / DECISIONS, account.decisions, account.paths)
     save_truth(folder / TRUTH, account.truth, run.world.scene)
-    write_report(account, folder / REPORT)
+    _report(account, folder / REPORT)
     return account.result
+
+
+def _report(account: Account, path: Path) -> None:
+    """The report; without the packages for it a scan is whole too, and its log says what lacks."""
+    try:
+        from insonify.report.html import write_report
+    except MissingExtraError as err:
+        _log.warning("no report is written: %s", err)
+    else:
+        write_report(account, path)
 
 
 def is_scan(folder: Path) -> bool:

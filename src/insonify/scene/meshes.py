@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from insonify.errors import MeshError
+from insonify.extras import optional
 from insonify.frames import rotation_from_rpy
 from insonify.types import Float64
 
@@ -66,6 +67,8 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
 def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, bool]:
     """A file's mesh, or one part of it, in the file's axes, and whether its upward axis is y."""
     suffix = path.suffix.lower()
+    if suffix == ".dae":
+        optional("collada", "simulation", "reading COLLADA")
     try:
         loaded = trimesh.load_scene(path, process=False)
         collada = list(ET.parse(path).getroot().iter()) if suffix == ".dae" else []

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-import manifold3d
 import numpy as np
 import trimesh
 
+from insonify.extras import optional
 from insonify.frames import rotation_from_rpy
 from insonify.types import Float64
 
@@ -17,8 +18,8 @@ WRECK_SIZE_M = (6.3, 11.4, 6.9)
 
 def tetrapod() -> trimesh.Trimesh:
     """A breakwater tetrapod: four tapered legs, one up, joined at a core; z up, on z = 0."""
-    core = manifold3d.Manifold.sphere(0.62, 48)
-    leg = manifold3d.Manifold.cylinder(2.0, 0.66, 0.40, 40)
+    core = _manifold().sphere(0.62, 48)
+    leg = _manifold().cylinder(2.0, 0.66, 0.40, 40)
     down = math.acos(-1.0 / 3.0)  # angle between two legs of a regular tetrahedron
     solid = core + leg
     for k in range(3):
@@ -37,9 +38,9 @@ def shipwreck() -> trimesh.Trimesh:
     hold = _hull(length_m=6.8, beam_m=4.2, depth_m=3.0).translate([0.0, 0.5, 0.3])
     deckhouse = _box((2.6, 2.0, 1.9), (0.0, -3.6, 2.9))
     bridge = _box((3.2, 1.1, 0.9), (0.0, -3.3, 4.7))
-    funnel = manifold3d.Manifold.cylinder(1.3, 0.4, 0.34, 24).translate([0.0, -4.3, 4.6])
-    mast = manifold3d.Manifold.cylinder(4.3, 0.16, 0.10, 16).translate([0.0, 3.9, 2.7])
-    boom = manifold3d.Manifold.cylinder(2.6, 0.09, 0.09, 12).rotate([-58.0, 0.0, 0.0])
+    funnel = _manifold().cylinder(1.3, 0.4, 0.34, 24).translate([0.0, -4.3, 4.6])
+    mast = _manifold().cylinder(4.3, 0.16, 0.10, 16).translate([0.0, 3.9, 2.7])
+    boom = _manifold().cylinder(2.6, 0.09, 0.09, 12).rotate([-58.0, 0.0, 0.0])
     ship = (hull - hold) + deckhouse + bridge + funnel + mast + boom.translate([0.0, 3.9, 3.3])
     return _fit(ship.rotate([4.0, 17.0, 0.0]), WRECK_SIZE_M)
 
@@ -47,7 +48,12 @@ def shipwreck() -> trimesh.Trimesh:
 PROCEDURAL_OBJECTS = {"tetrapod": tetrapod, "shipwreck": shipwreck}
 
 
-def _hull(length_m: float, beam_m: float, depth_m: float) -> manifold3d.Manifold:
+def _manifold() -> Any:
+    """Manifold's class of solids, which can be added and subtracted."""
+    return optional("manifold3d", "simulation", "making objects").Manifold
+
+
+def _hull(length_m: float, beam_m: float, depth_m: float) -> Any:
     """A solid hull, deck up, keel on z = 0, as the convex hull of its frames."""
     points = []
     for t in np.linspace(-1.0, 1.0, 25):
@@ -59,19 +65,17 @@ def _hull(length_m: float, beam_m: float, depth_m: float) -> manifold3d.Manifold
         points += [(side * half, y, depth_m + sheer) for side in (-1.0, 1.0)]
         points += [(side * half * 0.92, y * 0.97, 0.45 * depth_m + keel / 2) for side in (-1.0, 1)]
         points += [(side * half * 0.45, y * 0.90, keel) for side in (-1.0, 1.0)]
-    return manifold3d.Manifold.hull_points(np.asarray(points))
+    return _manifold().hull_points(np.asarray(points))
 
 
-def _box(
-    size_m: tuple[float, float, float], base_m: tuple[float, float, float]
-) -> manifold3d.Manifold:
+def _box(size_m: tuple[float, float, float], base_m: tuple[float, float, float]) -> Any:
     """A box standing on ``base_m``, the middle of its lower face."""
-    return manifold3d.Manifold.cube(size_m, True).translate(
-        [base_m[0], base_m[1], base_m[2] + size_m[2] / 2]
+    return (
+        _manifold().cube(size_m, True).translate([base_m[0], base_m[1], base_m[2] + size_m[2] / 2])
     )
 
 
-def _fit(solid: manifold3d.Manifold, size_m: tuple[float, float, float]) -> trimesh.Trimesh:
+def _fit(solid: Any, size_m: tuple[float, float, float]) -> trimesh.Trimesh:
     """As a mesh scaled to the bounding box ``size_m``, its base on z = 0."""
     raw = solid.to_mesh64()
     vertices: Float64 = np.asarray(raw.vert_properties, dtype=np.float64)[:, :3]

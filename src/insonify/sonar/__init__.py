@@ -13,7 +13,7 @@ from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
 from insonify.sonar.histogram import Law, Renderer, Response
 from insonify.sonar.opengl import OpenGLRenderer
-from insonify.sonar.physical import PhysicalSettings, SpeckleField, form_physical
+from insonify.sonar.physical import PhysicalSettings, Receiver, SpeckleField, form_physical
 from insonify.sonar.sampling import SamplingSettings
 from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
@@ -38,9 +38,13 @@ def renderer_named(name: RendererName, sampling: SamplingSettings) -> Renderer:
     return EmbreeRenderer(sampling)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sonar:
     """A simulated sonar.
+
+    Its settings do not change.  With ``physical``, its state does: ``speckle`` moves on with every
+    ping, so that a sonar that stays where it is sees the same speckle again.  `fresh` has the same
+    settings and no past.
 
     Args:
         device: What is mounted on the vehicle.
@@ -49,7 +53,7 @@ class Sonar:
         renderer: What samples the beams; by default Embree's rays.
         physical: The sonar equation instead of ``image``, if it is given.
         water: What ``physical`` needs to know of the water.
-        speckle: The speckle of ``physical``, which changes from ping to ping as the sonar moves.
+        speckle: The state.
     """
 
     device: SonarDevice = SonarDevice()
@@ -84,10 +88,13 @@ class Sonar:
         if self.physical is None:
             image = form_image(echoes, self.image, rng)
         else:
-            image = form_physical(
-                echoes, geometry, self.device, self.physical, self.water, self.speckle, pose, rng
-            )
+            receiver = Receiver(self.device, self.physical, self.water)
+            image = form_physical(echoes, geometry, receiver, self.speckle, pose, rng)
         return Ping(image, geometry, time_s, head_rad)
+
+    def fresh(self) -> Sonar:
+        """The same sonar before its first ping."""
+        return replace(self, speckle=SpeckleField())
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""

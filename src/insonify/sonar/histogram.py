@@ -173,6 +173,17 @@ def share_below(x: float, rise: float, skew: float) -> float:
     return above if x < 0.0 else 1.0 - above
 
 
+@kernel
+def _stretch(
+    range_m: float, rise_m: float, skew_m: float, range_min_m: float, bin_m: float
+) -> tuple[float, float, float, int, int]:
+    """Where a sample lies, in bins: its middle, rise and skew, and its first and last bin."""
+    middle = (range_m - range_min_m) / bin_m
+    rise, skew = rise_m / bin_m, skew_m / bin_m
+    reach = 0.5 * (rise + skew)
+    return middle, rise, skew, int(np.floor(middle - reach)), int(np.floor(middle + reach))
+
+
 @parallel_kernel
 def _add_samples(
     offsets: Int64,
@@ -192,10 +203,9 @@ def _add_samples(
         for k in range(offsets[beam], offsets[beam + 1]):
             if weight[k] <= 0.0:
                 continue
-            middle = (range_m[k] - range_min_m) / bin_m
-            rise, skew = rise_m[k] / bin_m, skew_m[k] / bin_m
-            reach = 0.5 * (rise + skew)
-            first, last = int(np.floor(middle - reach)), int(np.floor(middle + reach))
+            middle, rise, skew, first, last = _stretch(
+                range_m[k], rise_m[k], skew_m[k], range_min_m, bin_m
+            )
             if first == last:
                 if 0 <= first < bins:
                     echo_sum[beam, first] += weight[k] * echo[k]
@@ -230,10 +240,9 @@ def _keep_strongest(
         for k in range(offsets[beam], offsets[beam + 1]):
             if weight[k] <= 0.0:
                 continue
-            middle = (range_m[k] - range_min_m) / bin_m
-            rise, skew = rise_m[k] / bin_m, skew_m[k] / bin_m
-            reach = 0.5 * (rise + skew)
-            first, last = int(np.floor(middle - reach)), int(np.floor(middle + reach))
+            middle, rise, skew, first, last = _stretch(
+                range_m[k], rise_m[k], skew_m[k], range_min_m, bin_m
+            )
             for cell in range(max(first, 0), min(last, bins - 1) + 1):
                 share = 1.0
                 if first != last:

@@ -19,7 +19,7 @@ from insonify.scene import Scene
 from insonify.sonar.gpu import UploadedScene, open_context, projection, set_uniforms, shader
 from insonify.sonar.histogram import BEYOND, LEAST_FACING, EchoHistogram, Response, Samples
 from insonify.sonar.sampling import SamplingSettings, even_samples
-from insonify.types import FanGeometry, Float64, Pose
+from insonify.types import Array, FanGeometry, Float32, Float64, Pose
 
 _WIDEST_RAD = math.radians(40.0)
 _NEAREST_M = 0.05
@@ -131,8 +131,7 @@ class OpenGLRenderer:
                 "(--renderer embree), or leave them out"
             )
         uploaded = self._upload(scene)
-        across, over = even_samples(geometry, self.sampling)
-        cameras = _cameras(geometry, across, over)
+        cameras = _cameras(geometry, *even_samples(geometry, self.sampling))
         target = self._target(sum(c.columns for c in cameras), cameras[0].rows)
         sonar_from_world = np.linalg.inv(world_from_sonar(pose, geometry.mount))
         sonar_from_scene = sonar_from_world.copy()
@@ -163,21 +162,32 @@ class OpenGLRenderer:
                 camera_azimuth=camera.azimuth_rad,
                 pixel=camera.pixel,
             )
-            for body, array in enumerate(self._arrays):
-                seen = uploaded.in_reach(body, sonar_from_scene, camera.planes, limit_m)
-                if not seen.any():
-                    continue
-                texture = uploaded.bodies[body].texture
-                set_uniforms(
-                    self._draw,
-                    strength=float(strengths[body]),
-                    body=float(body),
-                    bumpy=texture is not None,
-                )
-                if texture is not None:
-                    texture.use(2)
-                uploaded.draw(array, body, seen)
+            self._draw_bodies(uploaded, strengths, sonar_from_scene, camera, limit_m)
         return target
+
+    def _draw_bodies(
+        self,
+        uploaded: UploadedScene,
+        strengths: Float32,
+        sonar_from_scene: Array,
+        camera: _Camera,
+        limit_m: float,
+    ) -> None:
+        """Draw what a camera may see."""
+        for body, array in enumerate(self._arrays):
+            seen = uploaded.in_reach(body, sonar_from_scene, camera.planes, limit_m)
+            if not seen.any():
+                continue
+            texture = uploaded.bodies[body].texture
+            set_uniforms(
+                self._draw,
+                strength=float(strengths[body]),
+                body=float(body),
+                bumpy=texture is not None,
+            )
+            if texture is not None:
+                texture.use(2)
+            uploaded.draw(array, body, seen)
 
     def _upload(self, scene: Scene) -> UploadedScene:
         if self._uploaded is None or self._uploaded.scene is not scene:

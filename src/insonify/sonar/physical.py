@@ -132,12 +132,25 @@ def complex_noise(shape: tuple[int, int], rng: np.random.Generator) -> Complex64
     return parts.view(np.complex64)[..., 0]
 
 
+@dataclass(frozen=True, slots=True)
+class Receiver:
+    """What the sonar equation needs to know.
+
+    Attributes:
+        device: The sonar: its frequency and beamwidth.
+        settings: Which stages, how strong.
+        water: Absorption and speed of sound.
+    """
+
+    device: SonarDevice
+    settings: PhysicalSettings = PhysicalSettings()
+    water: WaterSettings = WaterSettings()
+
+
 def form_physical(
     echoes: EchoHistogram,
     geometry: FanGeometry,
-    device: SonarDevice,
-    settings: PhysicalSettings,
-    water: WaterSettings,
+    receiver: Receiver,
     speckle: SpeckleField,
     pose: Pose,
     rng: np.random.Generator,
@@ -147,13 +160,12 @@ def form_physical(
     Args:
         echoes: What a renderer saw.
         geometry: Of the sonar.
-        device: The sonar: its frequency and beamwidth.
-        settings: Which stages, how strong.
-        water: Absorption and speed of sound.
+        receiver: What hears them.
         speckle: The sonar's speckle; it moves on to this ping.
         pose: Where the sonar is.
         rng: Where noise comes from.
     """
+    device, settings, water = receiver.device, receiver.settings, receiver.water
     range_m = np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)[:, None]
     alpha = water.absorption_db_per_m(device.frequency_khz)
     level_db = settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m

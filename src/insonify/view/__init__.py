@@ -1,1 +1,5 @@
-"""The page in the browser: what a run, a map or a recording holds, moment by moment."""
+"""The page in the browser: a run, map or recording, moment by moment."""
+
+from insonify.extras import require
+
+require("reports", "the colours of the view", "matplotlib")

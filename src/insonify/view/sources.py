@@ -19,8 +19,7 @@ from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.account import Account
 from insonify.mission.remap import Remap, map_recordings
-from insonify.results.files import CONFIG
-from insonify.results.recorder import RECORDING
+from insonify.results.files import CONFIG, RECORDING
 from insonify.results.scan import is_scan, load_scan
 from insonify.types import Box, PosedPing
 from insonify.view.story import Story, Thinned

@@ -9,18 +9,20 @@ from insonify.io.recordings.aris import MAGIC as ARIS_MAGIC
 from insonify.io.recordings.aris import read_aris
 from insonify.io.recordings.arrays import read_arrays
 from insonify.io.recordings.images import read_images
+from insonify.io.recordings.magic import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC
 from insonify.io.recordings.oculus import START as OCULUS_START
 from insonify.io.recordings.oculus import read_oculus
 from insonify.io.recordings.recording import Reading, Recording, with_poses
-from insonify.io.recordings.ros.bags import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC, Bag, open_bag
-from insonify.io.recordings.ros.recording import read_bag
 from insonify.io.recordings.simulated import read_simulated
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
-def _bag(bag: Bag, reading: Reading) -> Recording:
-    return with_poses(read_bag(bag, reading), reading)
+def _bag(path: Path, head: bytes, reading: Reading) -> Recording:
+    from insonify.io.recordings.ros.bags import open_bag
+    from insonify.io.recordings.ros.recording import read_bag
+
+    return with_poses(read_bag(open_bag(path, head), reading), reading)
 
 
 def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
@@ -28,14 +30,16 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
 
     Raises:
         RecordingError: It is missing, of no known format, or damaged beyond reading.
+        MissingExtraError: Its format needs packages that are not installed.
     """
     try:
         if path.is_dir():
             simulated = read_simulated(path)
             if simulated is not None:
                 return with_poses(simulated, reading)
-            bag = open_bag(path, b"")
-            return read_images(path, reading) if bag is None else _bag(bag, reading)
+            if (path / "metadata.yaml").is_file():
+                return _bag(path, b"", reading)
+            return read_images(path, reading)
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: neither a file nor a folder")
         with path.open("rb") as file:
@@ -53,9 +57,7 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
     if head[:2] == b"PK":
         return with_poses(read_arrays(path, reading), reading)
     if head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC)):
-        bag = open_bag(path, head)
-        assert bag is not None
-        return _bag(bag, reading)
+        return _bag(path, head, reading)
     if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
         raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
     raise RecordingError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import signal
@@ -17,19 +18,86 @@ from typing import Any
 
 import numba
 
-from insonify.errors import ConfigError, MemoryLimitError
+from insonify.config.toml import config_to_toml
+from insonify.errors import ConfigError, MemoryLimitError, OutputError
 from insonify.imaging.dataset import Dataset, Shots
-from insonify.io.folders import write_file
+from insonify.io.folders import result_folder, write_file
 from insonify.mission.result import DatasetResult
 from insonify.results.dataset import coco, store
 from insonify.results.files import save_result
+from insonify.results.scratch import OWNER, claim, find_unfinished
 
 DONE = "done"
 """Folder of one file for each view that is whole; gone when the dataset is."""
 IMAGES, MASKS, STORE, ANNOTATIONS = "images", "masks", "dataset.zarr", "annotations.json"
 
+_log = logging.getLogger(__name__)
 _shots: Shots | None = None
 """What a worker process makes views of."""
+
+
+def make_dataset(
+    config: Dataset,
+    target: Path,
+    *,
+    force: bool = False,
+    workers: int = 1,
+    watch: Callable[[int], None] = lambda done: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> tuple[DatasetResult | None, Path]:
+    """Make a dataset in a folder, which appears when it is whole.
+
+    What was made before a stop, a kill or a full disk is kept; the same call goes on from there.
+
+    Args:
+        config: What to make.
+        target: The folder.
+        force: Replace the results in it.
+        workers: Processes; more than one want the caller guarded by ``__name__ == "__main__"``.
+        watch: Called with the number of views that are whole, after each.
+        should_stop: Asked after each view; if true the rest is left for another call.
+
+    Returns:
+        The figures, None if it was stopped; and the folder.
+
+    Raises:
+        OutputError: The folder exists, or cannot be written.
+        InsonifyError: As `write_dataset`.
+    """
+    text = config_to_toml(config, "dataset") + _contents(config.materials)
+    before = find_unfinished(target, text, DONE)
+    with result_folder(target, force=force) as place:
+        if before is not None:
+            before.replace(place.scratch)
+        claim(place.scratch, text)
+        try:
+            result = write_dataset(
+                config, place.scratch, workers=workers, watch=watch, should_stop=should_stop
+            )
+        except (OSError, OutputError, MemoryLimitError):
+            _keep(place.scratch, config.count)
+            raise
+        if result is None:
+            _keep(place.scratch, config.count)
+        else:
+            (place.scratch / OWNER).unlink()
+    return result, place.target
+
+
+def _contents(materials: str) -> str:
+    """The table of materials as comments, so that another one makes another dataset."""
+    if not materials:
+        return ""
+    lines = Path(materials).read_text(encoding="utf-8").splitlines()
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)
+
+
+def _keep(scratch: Path, count: int) -> None:
+    """Leave what is whole for the same call to go on with."""
+    kept = scratch.with_name(f"{scratch.name}-kept")
+    scratch.replace(kept)
+    done = sum(1 for _ in (kept / DONE).glob("*.json"))
+    _log.info("stopped after %d of %d views; the same command goes on from there", done, count)
 
 
 def write_dataset(
@@ -47,7 +115,7 @@ def write_dataset(
     Args:
         config: What to make.
         folder: Where; it exists, and holds nothing else.
-        workers: Processes; more than one want the caller guarded by ``__name__ == "__main__"``.
+        workers: As in `make_dataset`; so are ``watch`` and ``should_stop``.
         watch: Called with the number of views that are whole, after each.
         should_stop: Asked after each view; if true the folder is left for another call.
 
@@ -69,13 +137,8 @@ def write_dataset(
         watch(done)
     if done < config.count:
         return None
-
-    def rows() -> Iterator[dict[str, Any]]:
-        for number in range(config.count):
-            yield json.loads(_marker(folder, number).read_text(encoding="utf-8"))
-
-    store.finish(folder / STORE, shots, [row["pose"] for row in rows()])
-    seen = coco.write_annotations(folder / ANNOTATIONS, shots, rows)
+    store.finish(folder / STORE, shots, [row["pose"] for row in _rows(config, folder)])
+    seen = coco.write_annotations(folder / ANNOTATIONS, shots, lambda: _rows(config, folder))
     shutil.rmtree(folder / DONE)
     result = DatasetResult(
         world=config.world,
@@ -86,6 +149,12 @@ def write_dataset(
     )
     save_result(result, folder)
     return result
+
+
+def _rows(config: Dataset, folder: Path) -> Iterator[dict[str, Any]]:
+    """What was noted of each view, in order."""
+    for number in range(config.count):
+        yield json.loads(_marker(folder, number).read_text(encoding="utf-8"))
 
 
 def _prepared(config: Dataset, folder: Path) -> Shots:

@@ -33,12 +33,10 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from insonify.errors import RecordingError, reason
+from insonify.io.recordings.magic import MCAP_MAGIC, ROS1_MAGIC
 from insonify.io.recordings.ros.messages import message_types
 from insonify.io.recordings.ros.ros1_records import check_records
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-ROS1_MAGIC = b"#ROSBAG V"
-SQLITE_MAGIC = b"SQLite format 3\0"
 ROS1 = "ROS 1 bag"
 MOST_CHUNK_BYTES = 1 << 30
 DAMAGE = (
@@ -95,16 +93,14 @@ class Bag:
     cut: str = ""
 
 
-def open_bag(path: Path, head: bytes) -> Bag | None:
-    """The bag at a path, told by its first bytes; None if it is none."""
+def open_bag(path: Path, head: bytes) -> Bag:
+    """The bag at a path, whose kind its first bytes tell; a folder is a ROS 2 bag."""
     if head.startswith(MCAP_MAGIC):
         bag = Bag(path, "MCAP (ROS 2)", lambda topics: _read_mcap(bag, topics))
     elif head.startswith(ROS1_MAGIC):
         bag = Bag(path, ROS1, lambda topics: _read_rosbags(bag, topics))
-    elif head.startswith(SQLITE_MAGIC) or (path.is_dir() and (path / "metadata.yaml").is_file()):
-        bag = Bag(path, "ROS 2 bag", lambda topics: _read_rosbags(bag, topics))
     else:
-        return None
+        bag = Bag(path, "ROS 2 bag", lambda topics: _read_rosbags(bag, topics))
     return bag
 
 
