@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import signal
@@ -163,8 +164,13 @@ def test_a_killed_dataset_goes_on_where_it_was(folder: Path, tmp_path: Path) -> 
 
 
 def test_a_full_disk_keeps_what_is_whole(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.set_level(logging.INFO, "insonify")
+
     def write(path: Path, data: bytes) -> None:
         if path.name == "000003.png":
             raise OutputError(f"{path}: cannot be written (no space left on device)")
@@ -175,7 +181,7 @@ def test_a_full_disk_keeps_what_is_whole(
     words += ["--count", str(COUNT), "--workers", "1"]
     done = CliRunner().invoke(app, words)
     assert isinstance(done.exception, OutputError)
-    assert f"stopped after 3 of {COUNT} views" in done.stderr
+    assert f"stopped after 3 of {COUNT} views" in caplog.text
     monkeypatch.undo()
     (left,) = tmp_path.iterdir()
     (left / "owner.pid").write_text("999999999 0.0")  # as if that process were gone

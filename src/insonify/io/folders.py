@@ -32,7 +32,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
     """A scratch folder beside ``target`` that takes its name when the block ends well.
 
     It is made at once, so that a folder that cannot be written is known before any work is done.
-    If the block raises, nothing is left behind.  A block that writes nothing leaves no folder.
+    If the block raises, nothing is left behind.  A block that writes nothing, or moves the scratch
+    folder away, leaves no folder.
     With ``force``, the new files replace those of the same name; others in the folder stay.
     If another process has made ``target`` meanwhile, the result takes the next free name.
 
@@ -133,7 +134,7 @@ def unused_folder(wanted: Path) -> Path:
 
 def _publish(scratch: Path, target: Path, force: bool) -> Path:
     """Give a finished result its name; returns the one it got."""
-    files = sorted(scratch.iterdir())
+    files = sorted(scratch.iterdir()) if scratch.is_dir() else []  # the block may have moved it
     if not files:
         return target
     if force and target.is_dir():

@@ -1,0 +1,79 @@
+"""The cache of compiled kernels: a change anywhere compiles all anew, and it is said."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_JIT = Path(__file__).parents[1] / "src/insonify/jit.py"
+_INNER = (
+    "from insonify.jit import kernel\n\n@kernel\ndef inner(x: float) -> float:\n    return x * {}\n"
+)
+_OUTER = (
+    "from insonify.jit import kernel\nfrom insonify.inner import inner\n\n"
+    "@kernel\ndef outer(x: float) -> float:\n    return inner(x) + 1.0\n"
+)
+_ASK = (
+    "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
+    "from insonify.outer import outer; print(outer(1.0))"
+)
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package with the real `jit`, and two kernels in two files."""
+    package = tmp_path / "insonify"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "jit.py").write_text(_JIT.read_text(encoding="utf-8"))
+    (package / "inner.py").write_text(_INNER.format("2.0"))
+    (package / "outer.py").write_text(_OUTER)
+    return package
+
+
+def _ask(package: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", _ASK],
+        cwd=package.parent,
+        env=os.environ | {"PYTHONPATH": str(package.parent), **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+
+def test_a_kernel_sees_a_change_in_another_file(package: Path) -> None:
+    first, second = _ask(package), _ask(package)
+    assert first.stdout == second.stdout == "3.0\n"
+    assert "compiling outer" in first.stderr and second.stderr == ""
+    (package / "inner.py").write_text(_INNER.format("5.0"))
+    changed = _ask(package)
+    assert changed.stdout == "6.0\n" and "compiling outer" in changed.stderr
+    folders = list((package / "__pycache__").glob("kernels-*"))
+    assert len(folders) == 1  # those of the old sources are gone
+
+
+def test_the_users_own_folder_is_taken(package: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    assert _ask(package, NUMBA_CACHE_DIR=str(own)).stdout == "3.0\n"
+    assert list(own.glob("kernels-*/**/*.nbi"))
+    assert not list((package / "__pycache__").glob("kernels-*"))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_where_nothing_can_be_written_it_compiles_each_time(package: Path) -> None:
+    (package / "__pycache__").mkdir(exist_ok=True)
+    (package / "__pycache__").chmod(0o500)
+    done = _ask(package, HOME="/nonexistent", XDG_CACHE_HOME="/nonexistent")
+    assert done.stdout == "3.0\n" and "each start compiles them anew" in done.stderr
+
+
+def test_where_nothing_can_be_written_it_says_so(package: Path) -> None:
+    """As root too: the place is a file."""
+    (package / "__pycache__").touch()
+    done = _ask(package, XDG_CACHE_HOME="/dev/null", PYTHONDONTWRITEBYTECODE="1")
+    assert done.stdout == "3.0\n" and "each start compiles them anew" in done.stderr
