@@ -1,13 +1,14 @@
 # Two commands on a fresh machine with Python 3.11+ and make:
 #   make demo   sets up, scans the tetrapod, says where the report is
 #   make test   sets up, runs every check
-# and make docs, which builds the docs site into build/docs, and make coverage
+# and make quick, the checks that take less than a minute; make docs, which builds the docs site into
+# build/docs; make coverage; make bench
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: setup demo test lint types check coverage docs bench clean
+.PHONY: setup warm demo test quick lint types check coverage docs bench clean
 
 setup: $(READY)
 
@@ -17,10 +18,16 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: setup
+warm: setup
+	$(BIN)/insonify warm-up --quiet
+
+demo: warm
 	$(BIN)/insonify scan tetrapod
 
 test: lint types check
+
+quick: lint warm
+	$(BIN)/pytest --quiet -n logical -m "not slow"
 
 lint: setup
 	$(BIN)/ruff check .
@@ -29,13 +36,13 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-check: setup
-	$(BIN)/pytest
+check: warm
+	$(BIN)/pytest -n logical
 
 # Kernels run compiled, where no line is seen to run, so they are left out of the count.
 coverage: setup
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest
+	$(BIN)/coverage run -m pytest -n logical
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage html --quiet
 	$(BIN)/coverage report

@@ -10,6 +10,8 @@ import pytest
 
 import insonify
 
+pytestmark = pytest.mark.slow
+
 README = Path(__file__).resolve().parents[1] / "README.md"
 
 

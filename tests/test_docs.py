@@ -15,6 +15,8 @@ import pytest
 
 import insonify
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 INTERNAL = {"cli"}
 EXAMPLE = re.compile(r'"(examples/[\w.]+):(\d+)"')

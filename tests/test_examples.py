@@ -16,6 +16,8 @@ from PIL import Image
 
 from insonify import load_map
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted(path.name for path in (ROOT / "examples").glob("*.py"))
 

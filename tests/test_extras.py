@@ -15,6 +15,8 @@ import pytest
 from insonify.io.recordings.arrays import save_arrays
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
+pytestmark = pytest.mark.slow
+
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 GROUPS = {
     "simulation": ["embreex", "manifold3d", "collada"],

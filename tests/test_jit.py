@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 _JIT = Path(__file__).parents[1] / "src/insonify/jit.py"
 _INNER = (
     "from insonify.jit import kernel\n\n@kernel\ndef inner(x: float) -> float:\n    return x * {}\n"

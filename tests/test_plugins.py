@@ -21,6 +21,8 @@ from insonify.results.map import load_mapper
 from insonify.sonar.devices import SonarDevice
 from insonify.types import Box, Pose
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=6"]
 OWN = '''
 import numpy as np

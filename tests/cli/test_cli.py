@@ -16,6 +16,8 @@ import trimesh
 
 from insonify.io.maps import load_map
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=6"]
 
 

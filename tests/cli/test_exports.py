@@ -14,6 +14,8 @@ from insonify.errors import InsonifyError
 from insonify.io.maps import save_map
 from insonify.mapping.voxels import VoxelMap
 
+pytestmark = pytest.mark.slow
+
 MakeMap = Callable[..., VoxelMap]
 
 

@@ -18,6 +18,8 @@ from insonify.io.maps import load_map, save_map
 from insonify.mapping.voxels import VoxelMap
 from insonify.sonar.devices import named_device
 
+pytestmark = pytest.mark.slow
+
 
 def _run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

@@ -14,6 +14,8 @@ from PIL import Image
 
 from insonify.io.pings import load_ping
 
+pytestmark = pytest.mark.slow
+
 DATA = Path(__file__).resolve().parents[3] / "shared/data"
 FAST = ["--set", "sonar.beams=32", "--set", "sonar.bins=100", "--set", "sampling.refine=1"]
 

@@ -13,6 +13,8 @@ import pytest
 
 from insonify.cli.vehicles import wall_clock
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--planner", "uniform", "--set", "survey.baseline_scans=1", "--set",
          "survey.approach_m=1", "--set", "mapping.voxel_m=0.25"]  # fmt: skip
 

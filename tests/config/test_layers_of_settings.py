@@ -19,6 +19,8 @@ from insonify.imaging.tour import tour_config
 from insonify.mission.setup import scenario_config
 from insonify.sonar.devices import named_device, resolved_device
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_preset_begins_a_device_anew_and_settings_after_it_change_it() -> None:
     layers: list[Table] = [{"sonar": {"beams": 3}}, {"sonar": "didson"}, {"sonar": {"bins": 7}}]

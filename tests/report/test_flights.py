@@ -3,9 +3,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.report.html import write_report
+
+pytestmark = pytest.mark.slow
 
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"approach_m": 2.0, "baseline_scans": 1}}
 FLOWN = {"planner": "uniform", "vehicle": {"name": "bluerov2", "ping_hz": 1.0}}

@@ -18,6 +18,8 @@ from insonify.report.html import write_report
 from insonify.report.pictures import voxel_shell
 from insonify.types import FanGeometry, Ping
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 12}}
 
 

@@ -33,6 +33,8 @@ from insonify.results.dataset.coco import run_lengths
 from insonify.scene.named import named_scene
 from insonify.types import Array
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--set", "sonar.beams=16", "--set", "sonar.bins=32", "--set", "sonar.range_max_m=25"]
 COUNT = 6
 pycocotools_of_old = pytest.mark.filterwarnings("ignore:__array__ implementation doesn't accept")

@@ -25,6 +25,8 @@ from insonify.mission.run import Run, execute
 from insonify.mission.setup import scenario_config
 from insonify.results.recorder import recording
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:

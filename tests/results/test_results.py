@@ -22,6 +22,8 @@ from insonify.results.files import load_result
 from insonify.results.scan import load_scan, run_scan
 from insonify.types import StopReason
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 8}}
 
 

@@ -22,6 +22,8 @@ from insonify.vehicle.description import vehicle_named
 from insonify.vehicle.settings import VehicleSettings
 from insonify.vehicle.voyage import Surroundings, Voyage
 
+pytestmark = pytest.mark.slow
+
 SMALL: dict[str, Any] = {
     "mapping": {"voxel_m": 0.25},
     "survey": {"approach_m": 4.0, "baseline_scans": 1},

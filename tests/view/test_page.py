@@ -23,6 +23,8 @@ from insonify.types import Array, StopReason
 from insonify.view.page import Page
 from insonify.view.story import Story
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=8"]
 PATIENCE_S = 60.0
 

@@ -28,6 +28,8 @@ from insonify.view.cubes import occupied_cubes
 from insonify.view.sources import open_story
 from insonify.view.story import Story, Thinned
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 8}}
 MAPPING = MappingSettings(voxel_m=0.25)
 

@@ -15,6 +15,8 @@ from benchmarks.bag_samples import plain_bag
 from insonify.errors import RecordingError
 from insonify.io.recordings import open_recording
 
+pytestmark = pytest.mark.slow
+
 
 def test_damaged_files_are_read_in_part_or_refused_in_a_sentence() -> None:
     tallies = fuzz.fuzz(20 * len(fuzz.READERS), seed=1)
