@@ -24,6 +24,18 @@ _ASK = (
     "from insonify.outer import outer; print(outer(1.0))"
 )
 
+_UNCOMPILED = """
+import importlib, pkgutil, insonify
+from insonify.jit import KERNELS
+from insonify.warmup import STEPS, warm_up_step
+for module in pkgutil.walk_packages(insonify.__path__, "insonify."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+for step in STEPS:
+    warm_up_step(step)
+print(*(kernel.__name__ for kernel in KERNELS if not kernel.signatures))
+"""
+
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
@@ -55,8 +67,30 @@ def test_a_kernel_sees_a_change_in_another_file(package: Path) -> None:
     (package / "inner.py").write_text(_INNER.format("5.0"))
     changed = _ask(package)
     assert changed.stdout == "6.0\n" and "compiling outer" in changed.stderr
-    folders = list((package / "__pycache__").glob("kernels-*"))
-    assert len(folders) == 1  # those of the old sources are gone
+
+
+def test_kernels_of_old_sources_go_once_none_can_be_running(package: Path) -> None:
+    _ask(package)
+    cache = package / "__pycache__"
+    [old] = cache.glob("kernels-*")
+    (package / "inner.py").write_text(_INNER.format("5.0"))
+    _ask(package)
+    assert old.exists()
+    long_ago = old.stat().st_mtime - 8 * 24 * 3600
+    os.utime(old, (long_ago, long_ago))
+    _ask(package)
+    assert not old.exists() and len(list(cache.glob("kernels-*"))) == 1
+
+
+def test_warm_up_leaves_nothing_to_compile(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _UNCOMPILED],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == []
 
 
 def test_the_users_own_folder_is_taken(package: Path, tmp_path: Path) -> None:

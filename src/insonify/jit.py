@@ -13,6 +13,7 @@ import logging
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -32,6 +33,7 @@ KERNELS: list[Any] = []
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
+_KEPT_S = 7 * 24 * 3600.0
 _CONFIG: Any = config
 
 
@@ -77,10 +79,12 @@ def kernels_digest() -> str:
 
 
 def _forget_others(place: Path, name: str) -> None:
-    """Remove the kernels of other versions of the sources."""
+    """Remove the kernels of other versions of the sources, unless they may still be in use."""
+    os.utime(place / name)
     for folder in place.glob(f"{_PREFIX}*"):
-        if folder.name != name:
-            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > _KEPT_S:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _compile(function: Callable[P, R], parallel: bool) -> Callable[P, R]:
