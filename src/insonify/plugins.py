@@ -19,6 +19,24 @@ def is_plugin(name: str) -> bool:
     return ":" in name
 
 
+def check_name(
+    what: str, name: str, known: Iterable[str], options: Mapping[str, Any] | None
+) -> None:
+    """Refuse a name that is neither known nor a user's own, before anything is made.
+
+    Raises:
+        ConfigError: It is neither, or a known one is given options.
+    """
+    known = tuple(known)
+    if name not in known and not is_plugin(name):
+        raise ConfigError(
+            f"there is no {what} named {name!r}{did_you_mean(name, known)}, or give your own as "
+            "MODULE:NAME or FILE.py:NAME"
+        )
+    if name in known and options:
+        raise ConfigError(f"{what}_options are for a {what} of your own, and {name!r} is not")
+
+
 def load_plugin(name: str, what: str) -> Callable[..., Any]:
     """What a user's module has under a name; the module's code is run.
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from insonify.config.settings import did_you_mean
-from insonify.errors import ConfigError
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.mapper import Mapper, MappingSettings
-from insonify.plugins import is_plugin, load_plugin, made
+from insonify.plugins import check_name, load_plugin, made
 
 MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {"bayes": BayesMapper}
 _NEEDS = ("name", "voxels", "integrate", "finish_scan", "tells", "save", "load")
@@ -37,18 +35,9 @@ def make_mapper(
 
 
 def check_mapper(name: str, options: Mapping[str, Any] | None = None) -> None:
-    """Refuse a name that is neither known nor a user's own, before anything is made.
+    """Refuse a name that is neither of `MAPPERS` nor a user's own.
 
     Raises:
         ConfigError: It is neither, or a known one is given options.
     """
-    if name not in MAPPERS and not is_plugin(name):
-        raise ConfigError(
-            f"there is no mapper named {name!r}{did_you_mean(name, MAPPERS)}, or give your own as "
-            "MODULE:NAME or FILE.py:NAME"
-        )
-    if name in MAPPERS and options:
-        raise ConfigError(
-            f"mapper_options are for a mapper of your own, and {name!r} is not; its settings are "
-            f"those of mapping.{name}"
-        )
+    check_name("mapper", name, MAPPERS, options)

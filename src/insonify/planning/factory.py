@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from insonify.config.settings import did_you_mean
-from insonify.errors import ConfigError
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner
 from insonify.planning.decision import Planner, SurveyArea
-from insonify.plugins import is_plugin, load_plugin, made
+from insonify.plugins import check_name, load_plugin, made
 from insonify.types import FanGeometry
 
 _NEEDS = ("name", "next_scan")
@@ -55,15 +53,9 @@ def make_planner(name: str, task: Task, options: Mapping[str, Any] | None = None
 
 
 def check_planner(name: str, options: Mapping[str, Any] | None = None) -> None:
-    """Refuse a name that is neither known nor a user's own, before anything is made.
+    """Refuse a name that is neither of `PLANNERS` nor a user's own.
 
     Raises:
         ConfigError: It is neither, or a known one is given options.
     """
-    if name not in PLANNERS and not is_plugin(name):
-        raise ConfigError(
-            f"there is no planner named {name!r}{did_you_mean(name, PLANNERS)}, or give your own "
-            "as MODULE:NAME or FILE.py:NAME"
-        )
-    if name in PLANNERS and options:
-        raise ConfigError(f"planner_options are for a planner of your own, and {name!r} is not")
+    check_name("planner", name, PLANNERS, options)
