@@ -40,6 +40,7 @@ check: warm
 	$(BIN)/pytest -n logical
 
 # Kernels run compiled, where no line is seen to run, so they are left out of the count.
+coverage: export COVERAGE_FILE = $(CURDIR)/build/coverage/data
 coverage: setup
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest -n logical
