@@ -91,6 +91,19 @@ def _shown() -> list[tuple[str, str, int]]:
     ]
 
 
+def test_files_that_the_docs_name_are_there() -> None:
+    pages = [*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md")]
+    named = {
+        (page.name, path)
+        for page in pages
+        for path in re.findall(r"`([\w.]+(?:/[\w.]+)+\.(?:py|toml|jinja))`", page.read_text("utf-8"))
+        if not path.startswith("views/")  # the folder that docs/datasets.md makes
+    }
+    assert len(named) > 20
+    homes = (ROOT, ROOT / "src", ROOT / "src/insonify")
+    assert [(p, f) for p, f in sorted(named) if not any((h / f).is_file() for h in homes)] == []
+
+
 def test_examples_are_shown_from_their_first_import() -> None:
     shown = _shown()
     assert len(shown) >= 5
