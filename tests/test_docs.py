@@ -96,7 +96,9 @@ def test_files_that_the_docs_name_are_there() -> None:
     named = {
         (page.name, path)
         for page in pages
-        for path in re.findall(r"`([\w.]+(?:/[\w.]+)+\.(?:py|toml|jinja))`", page.read_text("utf-8"))
+        for path in re.findall(
+            r"`([\w.]+(?:/[\w.]+)+\.(?:py|toml|jinja))`", page.read_text("utf-8")
+        )
         if not path.startswith("views/")  # the folder that docs/datasets.md makes
     }
     assert len(named) > 20

@@ -5,13 +5,14 @@ import math
 import pytest
 
 from insonify.errors import GeometryError
-from insonify.mapping.mapper import Belief
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.mapper import Belief, MappingSettings
 from insonify.mission.loop import Decided, Ended, Mapped, Pinged, Scanned
 from insonify.mission.run import execute
 from insonify.mission.setup import Config, World, scenario_config
 from insonify.planning.baselines import path_over_centre
 from insonify.planning.decision import Decision
-from insonify.types import Nav, Pose, ScanPath, StopReason
+from insonify.types import Nav, Ping, Pose, ScanPath, StopReason
 
 SMALL = {
     "mapping": {"voxel_m": 0.25},
@@ -97,3 +98,47 @@ def test_interrupting_keeps_what_was_scanned() -> None:
     assert run.stop_reason is StopReason.INTERRUPTED
     assert [len(path.waypoints) for path in run.paths] == [6, 3]
     assert [entry.pings for entry in run.history] == [6, 9]
+
+
+class Late(BayesMapper):
+    """Does all its work at the end of a scan."""
+
+    def __init__(self, settings: MappingSettings) -> None:
+        super().__init__(settings)
+        self.kept: list[tuple[Ping, Pose]] = []
+
+    def integrate(self, ping: Ping, pose: Pose) -> None:
+        self.kept.append((ping, pose))
+
+    def finish_scan(self) -> None:
+        for ping, pose in self.kept:
+            super().integrate(ping, pose)
+        self.kept.clear()
+
+
+@pytest.mark.parametrize("stop_after", [6, 9])
+def test_a_scan_that_is_cut_short_is_finished_too(stop_after: int) -> None:
+    config = _config(planner="uniform")
+    runs = []
+    for mapper in (BayesMapper(config.mapping), Late(config.mapping)):
+        asked = iter(range(1, 100))
+        run = execute(config, mapper=mapper, should_stop=lambda it=asked: next(it) >= stop_after)  # type: ignore[misc]
+        runs.append(run.history[-1])
+    assert runs[0] == runs[1]
+    assert runs[0].metrics["surface"]["exact"]["recall"] > 0.1
+
+
+@pytest.mark.slow
+def test_the_map_at_the_true_poses_is_finished_too() -> None:
+    config = _config(
+        planner="uniform",
+        vehicle={"name": "bluerov2"},
+        survey={"waypoints": 6, "baseline_scans": 1, "approach_m": 1.0, "overrun_m": 0.0},
+    )
+    ours, late = (
+        execute(config, mapper=mapper).result().vehicle
+        for mapper in (BayesMapper(config.mapping), Late(config.mapping))
+    )
+    assert ours is not None
+    assert late is not None
+    assert ours.metrics_at_true_poses == late.metrics_at_true_poses

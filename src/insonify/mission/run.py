@@ -219,8 +219,9 @@ def execute(
             run.flight.track.readings.clear()  # whoever records them has
         if isinstance(step, Mapped) and should_stop():
             break
-    if not run.history or run.history[-1].pings < run.pings:
-        run.history.append(_assess(run))
+    if not run.history or run.history[-1].pings < run.pings:  # the last scan was cut short
+        mapper.finish_scan()
+        _note_scan(run)
     return run
 
 
@@ -299,7 +300,7 @@ def _note(run: Run, step: Step) -> None:
     elif isinstance(step, Pinged):
         _note_ping(run, step.posed)
     elif isinstance(step, Scanned):
-        run.history.append(_assess(run))
+        _note_scan(run)
     elif isinstance(step, Ended):
         run.stop_reason = step.reason
 
@@ -315,6 +316,12 @@ def _note_ping(run: Run, posed: PosedPing) -> None:
         run.flight.reference.integrate(posed.ping, posed.true_pose)
     if done in {quarter * count // 4 for quarter in KEYFRAMES}:
         run.keyframes.append((len(run.paths), posed))
+
+
+def _note_scan(run: Run) -> None:
+    if run.flight is not None:
+        run.flight.reference.finish_scan()
+    run.history.append(_assess(run))
 
 
 def _entropy_from_above(run: Run) -> Float32:
