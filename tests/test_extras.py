@@ -74,10 +74,10 @@ def test_without_embree_the_view_opens(recording: Path) -> None:
         "import sys; sys.modules['embreex'] = None\n"
         "from pathlib import Path\n"
         "from insonify.io.recordings.recording import Reading\n"
-        "from insonify.mapping.mapper import MappingSettings\n"
+        "from insonify.results.map import MapConfig\n"
         "from insonify.view.sources import open_story\n"
         "import insonify.view.page\n"
-        f"told = open_story(Path({str(recording)!r}), Reading(), MappingSettings())\n"
+        f"told = open_story(Path({str(recording)!r}), Reading(), MapConfig())\n"
         "told.go_on(lambda done, count: None, lambda: False)\n"
         "print(len(told.story.moments))\n"
     )

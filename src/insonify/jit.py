@@ -106,7 +106,9 @@ class _Announcer(event.Listener):
 
     def on_start(self, event: Any) -> None:
         """One begins; those that it calls come inside it."""
-        _log.info("compiling %s", getattr(event.data["dispatcher"], "__name__", "a kernel"))
+        kernel = event.data["dispatcher"]
+        if any(kernel is ours for ours in KERNELS):
+            _log.info("compiling %s", kernel.__name__)
 
     def on_end(self, event: Any) -> None:
         """One is done."""

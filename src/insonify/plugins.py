@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
@@ -61,6 +62,18 @@ def load_plugin(name: str, what: str) -> Callable[..., Any]:
     return found  # type: ignore[no-any-return]
 
 
+def name_of(plugin: Any, known: Iterable[str]) -> str:
+    """What an object is recorded as: the name under which its class can be found again."""
+    kind = type(plugin)
+    if plugin.name in known and kind.__module__.startswith("insonify."):
+        return str(plugin.name)
+    module = sys.modules.get(kind.__module__)
+    file = getattr(module, "__file__", None)
+    findable = kind.__module__ != "__main__" and not kind.__module__.startswith("insonify_plugin_")
+    where = kind.__module__ if findable or file is None else str(Path(file).absolute())
+    return f"{where}:{kind.__qualname__}"
+
+
 def made(
     factory: Callable[..., Any],
     name: str,
@@ -95,22 +108,36 @@ def made(
 
 
 def _from_file(path: Path, name: str, what: str) -> ModuleType:
+    """A file's module, once as long as the file stays the same; it may import its neighbours."""
     if not path.is_file():
         raise ConfigError(f"{what} {name!r}: there is no such file as {path}; check the path")
-    key = f"insonify_plugin_{path.stem}"
+    path = path.resolve()
+    stamp = f"{path}:{path.stat().st_mtime_ns}"
+    key = f"insonify_plugin_{path.stem}_{hashlib.sha256(stamp.encode()).hexdigest()[:8]}"
+    if key in sys.modules:
+        return sys.modules[key]
     spec = spec_from_file_location(key, path)
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
+    _look_in(path.parent)
     sys.modules[key] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[key]
+        raise
     return module
 
 
+def _look_in(folder: Path) -> None:
+    """Let modules be found in a folder, as Python does for a script's."""
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
+
+
 def _imported(name: str, what: str) -> ModuleType:
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.insert(0, here)
+    _look_in(Path.cwd())
     try:
         return import_module(name)
     except ModuleNotFoundError as err:

@@ -22,6 +22,7 @@ from insonify.mapping.mapper import MappingSettings
 from insonify.mission.run import Run, execute
 from insonify.mission.setup import scenario_config
 from insonify.planning.decision import Decision
+from insonify.results.map import MapConfig
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 from insonify.view import shapes
 from insonify.view.cubes import occupied_cubes
@@ -31,7 +32,7 @@ from insonify.view.story import Story, Thinned
 pytestmark = pytest.mark.slow
 
 SMALL = {"mapping": {"voxel_m": 0.25}, "survey": {"waypoints": 8}}
-MAPPING = MappingSettings(voxel_m=0.25)
+HOW = MapConfig(mapping=MappingSettings(voxel_m=0.25))
 
 
 def _scan(folder: Path, *more: str) -> Path:
@@ -89,7 +90,7 @@ def test_a_story_told_live_is_the_run(run: tuple[Run, Story]) -> None:
 
 
 def test_a_run_s_folder_tells_the_same_story(run_folder: Path, run: tuple[Run, Story]) -> None:
-    live, told = run[1], _story(run_folder, Reading(), MAPPING)
+    live, told = run[1], _story(run_folder, Reading(), HOW)
     assert [m.pose for m in told.moments] == [m.pose for m in live.moments]
     assert [m.scan for m in told.moments] == [m.scan for m in live.moments]
     assert told.end == live.end
@@ -125,7 +126,7 @@ def test_a_run_that_was_broken_off_ends_where_it_was(run_folder: Path, tmp_path:
             should_stop=iter([False] * (count - 1) + [True]).__next__,
         )
     assert done.pings == count
-    story = _story(tmp_path, Reading(), MAPPING)
+    story = _story(tmp_path, Reading(), HOW)
     assert len(story.moments) == count
     found = story.maps.at(count)
     assert found is not None and found[0] == count
@@ -138,7 +139,7 @@ def test_a_vehicle_s_story_knows_where_it_really_was(tmp_path: Path) -> None:
         tmp_path / "run", "--vehicle", "bluerov2", "--navigation", "dvl", "--planner", "uniform",
         "--set", "survey.baseline_scans=2",
     )  # fmt: skip
-    story = _story(folder, Reading(), MAPPING)
+    story = _story(folder, Reading(), HOW)
     off = [
         math.dist(m.pose.position_m, m.true_pose.position_m)
         for m in story.moments
@@ -149,7 +150,7 @@ def test_a_vehicle_s_story_knows_where_it_really_was(tmp_path: Path) -> None:
 
 
 def test_recordings_and_maps(run_folder: Path, tmp_path: Path) -> None:
-    recorded = _story(run_folder / "recording.mcap", Reading(), MAPPING)
+    recorded = _story(run_folder / "recording.mcap", Reading(), HOW)
     voxels = load_map(run_folder)
     found = recorded.maps.at(len(recorded.moments))
     assert found is not None
@@ -157,7 +158,7 @@ def test_recordings_and_maps(run_folder: Path, tmp_path: Path) -> None:
     assert recorded.decisions == [] and recorded.world == ()
     for name in ("m.npz", "m.bt", "m.zarr"):
         save_map(voxels, tmp_path / name)
-        alone = _story(tmp_path / name, Reading(), MAPPING)
+        alone = _story(tmp_path / name, Reading(), HOW)
         picture = alone.maps.at(0)
         assert alone.moments == [] and picture is not None
         assert picture[1].occupied.count == (voxels.log_odds > 0).sum()
@@ -168,7 +169,7 @@ def test_a_recording_without_poses_is_its_images(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     pings = [Ping(rng.random((8, 6), np.float32), fan, float(k)) for k in range(3)]
     save_arrays(tmp_path / "r.npz", [PosedPing(ping) for ping in pings])
-    story = _story(tmp_path / "r.npz", Reading(), MAPPING)
+    story = _story(tmp_path / "r.npz", Reading(), HOW)
     assert [m.pose for m in story.moments] == [None] * 3
     image = story.images.at(2)
     assert image is not None
@@ -178,11 +179,11 @@ def test_a_recording_without_poses_is_its_images(tmp_path: Path) -> None:
 
 def test_what_cannot_be_shown_is_said(run_folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InsonifyError, match="no such recording"):
-        _story(tmp_path / "none", Reading(), MAPPING)
+        _story(tmp_path / "none", Reading(), HOW)
     shutil.copytree(run_folder, tmp_path / "cut")
     (tmp_path / "cut/recording.mcap").write_bytes(b"\x89MCAP0\r\n")
     with pytest.raises(InsonifyError, match=r"recording\.mcap: damaged or cut off"):
-        _story(tmp_path / "cut", Reading(), MAPPING)
+        _story(tmp_path / "cut", Reading(), HOW)
 
 
 def test_the_edges_of_a_fan_lie_on_its_limits() -> None:

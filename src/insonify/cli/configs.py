@@ -20,18 +20,20 @@ from insonify.cli.root import (
     single_layers,
     world_and_layers,
 )
+from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
 
 class Command(StrEnum):
-    """Commands that take ``--config``."""
+    """Commands that are told what to do by a config."""
 
     SCAN = "scan"
     SIMULATE = "simulate"
     DATASET = "dataset"
     FLY = "fly"
+    MAP = "map"
 
 
 _HERE = [0.0, 0.0, 0.0, -5.0, 0.0, 0.0, 0.0]
@@ -59,7 +61,7 @@ def show_config(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the full config of a scan, simulation, dataset or tour; its --config takes it back."""
+    """Print the full config of a scan, simulation, dataset, tour or map, for its --config."""
     from insonify.config.toml import config_to_toml
 
     chosen = command or _guessed(name, config)
@@ -88,12 +90,14 @@ def _model(command: Command) -> type[BaseModel]:
     from insonify.imaging.route import Simulation
     from insonify.imaging.tour import Tour
     from insonify.mission.setup import Config
+    from insonify.results.map import MapConfig
 
     models: dict[Command, type[BaseModel]] = {
         Command.SCAN: Config,
         Command.SIMULATE: Simulation,
         Command.DATASET: Dataset,
         Command.FLY: Tour,
+        Command.MAP: MapConfig,
     }
     return models[command]
 
@@ -128,9 +132,18 @@ def _tour(name: str | None, config: Path | None, settings: list[str] | None) -> 
     return tour_config([{"waypoints": _THERE}, world, *file_layers(config), *single])
 
 
+def _mapping(name: str | None, config: Path | None, settings: list[str] | None) -> BaseModel:
+    from insonify.cli.recordings import map_config
+
+    if name is not None:
+        raise ConfigError(f"recordings are mapped as they are; leave {name!r} out")
+    return map_config(None, None, settings, config)
+
+
 _MAKERS: dict[Command, Callable[[str | None, Path | None, list[str] | None], BaseModel]] = {
     Command.SCAN: _scan,
     Command.SIMULATE: _simulation,
     Command.DATASET: _dataset,
     Command.FLY: _tour,
+    Command.MAP: _mapping,
 }

@@ -160,21 +160,31 @@ def map_config(
     settings: list[str] | None,
     config: Path | None = None,
 ) -> MapConfig:
-    """How recordings are mapped: file, then --voxel and --mapper, then --set mapping.KEY=VALUE."""
+    """How recordings are mapped: file, then --voxel and --mapper, then --set mapping.KEY=VALUE.
+
+    The file may be a scan's too; what is of its other rooms does not matter here.
+    """
     from insonify.config.layers import overlaid
     from insonify.config.settings import validated
     from insonify.mapping.factory import check_mapper
+    from insonify.mission.setup import Config
     from insonify.results.map import MapConfig
 
     known = set(MapConfig.model_fields)
-    layers = file_layers(config)
-    from_file = [{key: value for key, value in layer.items() if key in known} for layer in layers]
+    others = set(Config.model_fields) - known
+    from_file = [
+        {key: value for key, value in layer.items() if key not in others}
+        for layer in file_layers(config)
+    ]
     chosen = choices(mapper=mapper, mapping=choices(voxel_m=voxel_m) or None)
     single = single_layers(settings)
     for layer in single:
         if not set(layer) <= known or not all(isinstance(v, dict | str) for v in layer.values()):
-            raise ConfigError(f"map takes --set mapping.KEY=VALUE only, not {next(iter(layer))}")
-    see = "`insonify config tetrapod` for the mapping settings"
+            raise ConfigError(
+                "recordings are mapped with --set mapping.KEY=VALUE and mapper_options.KEY=VALUE, "
+                f"not {next(iter(layer))}"
+            )
+    see = "`insonify config --for map`"
     full = validated(MapConfig, overlaid([*from_file, chosen, *single]), see=see)
     check_mapper(full.mapper, full.mapper_options)
     return full

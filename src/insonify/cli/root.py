@@ -27,13 +27,12 @@ app = typer.Typer(
     add_completion=False,
 )
 
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a scenario; see: scenarios")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated."),
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="TOML file of settings, as printed by: config")
+    Path | None, typer.Option("--config", help="TOML file of settings; see: config")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 

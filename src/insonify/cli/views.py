@@ -53,10 +53,10 @@ def view(
     from insonify.view.page import Page
     from insonify.view.sources import open_story
 
-    mapping = map_config(voxel, None, settings).mapping
+    how = map_config(voxel, None, settings)
     box = box_from_text(region) if region is not None else None
     reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
-    told = open_story(path, reading, mapping, box)
+    told = open_story(path, reading, how, box)
     page = Page(told.story, host, port)
     if as_json:
         print(json.dumps({"url": page.url, "pings": told.count}), flush=True)

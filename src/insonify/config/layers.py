@@ -53,13 +53,17 @@ def read_layer(path: Path) -> Table:
     Raises:
         ConfigError: The file is missing or not TOML.
     """
-    table = read_table(path)
+    return _settled(read_table(path), path.parent)
+
+
+def _settled(table: Table, folder: Path) -> Table:
+    """Files that a table names by their whole path; they are looked for in a folder."""
     for *outer, key in FILE_KEYS:
         inner: Any = table
         for name in outer:
             inner = inner.get(name, {}) if isinstance(inner, dict) else {}
         if isinstance(inner, dict) and isinstance(inner.get(key), str):
-            inner[key] = absolute(inner[key], path.parent)
+            inner[key] = absolute(inner[key], folder)
     return table
 
 
@@ -76,6 +80,8 @@ def absolute(name: str, folder: Path | None = None) -> str:
 def parse_setting(text: str) -> Table:
     """One ``KEY=VALUE`` as a layer; the key is dotted, the value TOML, or else a string.
 
+    A file that it names is relative to the current folder.
+
     Raises:
         ConfigError: There is no ``=`` in it.
     """
@@ -88,7 +94,7 @@ def parse_setting(text: str) -> Table:
         parsed = value
     for part in reversed(key.strip().split(".")):
         parsed = {part: parsed}
-    return dict(parsed)
+    return _settled(dict(parsed), Path.cwd())
 
 
 def overlaid(layers: Iterable[Table]) -> Table:

@@ -13,6 +13,21 @@ from pathlib import Path
 
 from insonify.errors import OutputError
 
+RESULT = "result.json"
+PARTS = (
+    "map.npz",
+    "map.ply",
+    "mapper.npz",
+    "entropy.npz",
+    "decisions.npz",
+    "truth.npz",
+    "trajectory.csv",
+    "recording.mcap",
+    "foxglove.json",
+    "report.html",
+)
+"""Files that are read back, or looked at, as parts of the result they lie with."""
+
 
 @dataclass(slots=True)
 class ResultFolder:
@@ -34,7 +49,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
     It is made at once, so that a folder that cannot be written is known before any work is done.
     If the block raises, nothing is left behind.  A block that writes nothing, or moves the scratch
     folder away, leaves no folder.
-    With ``force``, the new files replace those of the same name; others in the folder stay.
+    With ``force``, the new files replace those of the same name, and `PARTS` of the earlier result
+    that the new one does not have go with it; other files in the folder stay.
     If another process has made ``target`` meanwhile, the result takes the next free name.
 
     Raises:
@@ -138,6 +154,7 @@ def _publish(scratch: Path, target: Path, force: bool) -> Path:
     if not files:
         return target
     if force and target.is_dir():
+        names = {file.name for file in files}
         for file in files:
             if (target / file.name).is_dir() and not file.is_dir():
                 raise OSError(errno.EISDIR, f"{file.name} is a folder there")
@@ -145,6 +162,10 @@ def _publish(scratch: Path, target: Path, force: bool) -> Path:
             if (target / file.name).is_dir():
                 (target / file.name).rename(scratch / f"{file.name}.replaced")
             file.replace(target / file.name)
+        if RESULT in names:
+            for part in PARTS:
+                if part not in names and (target / part).is_file():
+                    (target / part).unlink()
         return target
     scratch.chmod(0o777 & ~_umask())
     while True:

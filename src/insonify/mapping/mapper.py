@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 from pydantic import Field, model_validator
 
 from insonify.config.settings import Settings
+from insonify.errors import ConfigError
 from insonify.mapping.voxels import VoxelMap
 from insonify.types import Array, FanGeometry, Float32, Float64, Ping, Pose
 
@@ -94,4 +95,20 @@ class Mapper(Belief, Protocol):
         """What it needs to go on later, besides ``voxels``."""
 
     def load(self, arrays: Mapping[str, Array]) -> None:
-        """Go on from what `save` gave, with ``voxels`` as they were then."""
+        """Go on from what `save` gave, with ``voxels`` as they were then.
+
+        Where `save` gave nothing, or there is a map alone, this is not called.
+        """
+
+
+def check_voxels(mapper: Mapper, settings: MappingSettings) -> None:
+    """Refuse a mapper whose voxels are not those of the settings, before it maps anything.
+
+    Raises:
+        ConfigError: They are of another size.
+    """
+    if mapper.voxels.voxel_m != settings.voxel_m:
+        raise ConfigError(
+            f"mapper {mapper.name!r} has voxels of {mapper.voxels.voxel_m:g} m, and "
+            f"mapping.voxel_m is {settings.voxel_m:g}; make it with the same settings"
+        )

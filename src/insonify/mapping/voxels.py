@@ -135,11 +135,15 @@ class VoxelMap:
         return (index.astype(np.float64) + 0.5) * self.voxel_m
 
     def around_occupied(self) -> Box:
-        """The occupied voxels and a block around them; all of the map if none is occupied."""
+        """The occupied voxels and a block around them; all of the map if none is occupied.
+
+        An empty map gives the block at the origin.
+        """
         occupied = self.occupied_m()
         if len(occupied):
             return Box.of(occupied.min(axis=0), occupied.max(axis=0)).grown(self.block_m)
-        low, high = self.coords.min(axis=0), self.coords.max(axis=0) + 1
+        coords = self.coords if self.block_count else np.zeros((1, 3), np.int32)
+        low, high = coords.min(axis=0), coords.max(axis=0) + 1
         return Box.of(low * self.block_m, high * self.block_m)
 
     def window(self, box: Box) -> VoxelWindow:

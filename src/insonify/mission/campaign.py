@@ -14,6 +14,7 @@ from insonify.mission.result import ScanResult
 from insonify.mission.run import Run, execute
 from insonify.mission.setup import scenario_config, scenarios
 from insonify.planning.factory import PLANNERS
+from insonify.plugins import is_plugin, load_plugin
 
 SCORES = ("precision", "recall", "f1", "f2", "f3")
 NAVIGATION = ("truth", "dvl")
@@ -50,7 +51,10 @@ def compare(
     order = sorted(dict.fromkeys(planners), key=lambda planner: planner != FIRST)
     for name in names:
         for planner in order:  # bad input shows before the first run
-            scenario_config(name, [*layers, {"planner": planner}])
+            config = scenario_config(name, [*layers, {"planner": planner}])
+            for what, own in (("planner", config.planner), ("mapper", config.mapper)):
+                if is_plugin(own):
+                    load_plugin(own, what)
     rows: list[ScanResult] = []
     for name in names:
         for seed in range(seeds):

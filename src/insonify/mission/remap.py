@@ -16,8 +16,8 @@ from insonify import memory
 from insonify.errors import GeometryError, MemoryLimitError, RecordingError
 from insonify.io.recordings.recording import Recording, RecordingWarning
 from insonify.io.recordings.summary import describe_fan
-from insonify.mapping.bayes import BayesMapper
-from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mapping.factory import make_mapper
+from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
 from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK
 from insonify.mission.result import MapResult
 from insonify.planning.entropy import entropy_map
@@ -95,7 +95,7 @@ def map_recordings(
         recordings: What was recorded; their poses share one world frame.
         settings: Voxel size and sensor model.
         region: Where entropy is counted; by default around the occupied voxels.
-        mapper: Maps them; by default `BayesMapper`.  Each recording is a scan of its.
+        mapper: Maps them; by default `bayes`.  Each recording is a scan of its.
         watch: Called after each ping with the map, its recording, its number from 1, and itself.
         should_stop: Asked after each ping; if true the map is what it is by then.
 
@@ -104,7 +104,10 @@ def map_recordings(
         MemoryLimitError: The map would not fit into the memory that is free.
         GeometryError: The region is too large to show.
     """
-    remap = Remap(settings, mapper or BayesMapper(settings))
+    if mapper is None:
+        mapper = make_mapper("bayes", settings)
+    check_voxels(mapper, settings)
+    remap = Remap(settings, mapper)
     for recording in recordings:
         _map_one(remap, recording, watch, should_stop)
         remap.mapper.finish_scan()

@@ -12,11 +12,11 @@ import numpy as np
 
 from insonify import memory
 from insonify.config.toml import config_to_toml
-from insonify.errors import GeometryError, MemoryLimitError
+from insonify.errors import ConfigError, GeometryError, MemoryLimitError
 from insonify.evaluation import GroundTruth, ground_truth, score_map, solids_of
 from insonify.frames import world_from_sonar
 from insonify.mapping.fan import blocks_in_fan
-from insonify.mapping.mapper import Mapper
+from insonify.mapping.mapper import Mapper, check_voxels
 from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
 from insonify.mission.account import Account
 from insonify.mission.loop import (
@@ -31,7 +31,7 @@ from insonify.mission.loop import (
     fly,
 )
 from insonify.mission.result import FlightResult, ScanResult, ScanRow
-from insonify.mission.setup import Config, World
+from insonify.mission.setup import Config, World, naming
 from insonify.planning.baselines import FixedPlan, path_over_centre
 from insonify.planning.decision import DecisionRecord, Planner
 from insonify.planning.entropy import entropy_map
@@ -187,7 +187,8 @@ def execute(
     Args:
         config: What to run.
         planner: Flies instead of the planner that the config names.
-        mapper: Maps instead of the mapper that the config names; its map is empty.
+        mapper: Maps instead of the mapper that the config names; its map is empty.  The run's
+            config names the classes of both.
         remembered: The first pings of the same run, broken off before; they are not made again.
         watch: Called after every step, for progress or recording.
         should_stop: Asked after every ping; if true the run ends there, scored as it stands.
@@ -197,11 +198,12 @@ def execute(
         InsonifyError: The config does not make a world that can be scanned.
     """
     clock = _Clock()
+    config = naming(config, planner, mapper)
     world = World(config)
     _check_memory(world)
-    mapper = mapper or world.mapper()
-    reference = copy.deepcopy(mapper)  # for the same pings at the true poses, if it is flown
-    planner = planner or world.planner()
+    mapper = world.mapper() if mapper is None else mapper
+    check_voxels(mapper, config.mapping)
+    planner = world.planner() if planner is None else planner
     noise = generator(config.seed, Stream.NOISE)
     carrier = _carrier(world, _sonar(world, noise, remembered), pace)
     if isinstance(carrier, Teleport):
@@ -209,10 +211,9 @@ def execute(
     truth = ground_truth(world.scene, world.stage.body, config.mapping.voxel_m)
     run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=noise)
     if isinstance(carrier, Voyage):
-        run.flight = Flight(carrier, reference)
+        run.flight = Flight(carrier, _copy(mapper))
     clock.lap("setup")
-    mission = fly(carrier, mapper, planner)
-    for step in _timed(mission, clock):
+    for step in _timed(fly(carrier, mapper, planner), clock):
         _note(run, step)
         watch(run, step)
         if run.flight is not None:
@@ -223,6 +224,17 @@ def execute(
         mapper.finish_scan()
         _note_scan(run)
     return run
+
+
+def _copy(mapper: Mapper) -> Mapper:
+    """A second mapper, as empty as the first, for the same pings at the true poses."""
+    try:
+        return copy.deepcopy(mapper)
+    except TypeError as err:
+        raise ConfigError(
+            f"mapper {mapper.name!r} cannot be copied ({err}), which a flown scan needs to say "
+            "what its pose error costs; give it a __deepcopy__"
+        ) from err
 
 
 def _carrier(
@@ -254,9 +266,11 @@ def _sonar(
             return world.sonar.ping(world.scene, true, noise)
         if past.posed.pose != believed:
             raise GeometryError(
-                "the scan that was broken off went another way than this one does; it was made by "
-                "another version of insonify, so delete its recording and scan anew"
+                "the scan that was broken off went another way than this one does, as its planner "
+                "or insonify has changed since; give another --out, or delete the hidden folder "
+                "that it left beside this one"
             )
+        world.sonar.skip(true, noise)
         past.set_noise(noise)
         return past.posed.ping
 

@@ -13,11 +13,12 @@ from insonify.config.layers import named_tables, overlaid
 from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError, MeshError
 from insonify.imaging.settings import Imaging
-from insonify.mapping.factory import check_mapper, make_mapper
+from insonify.mapping.factory import MAPPERS, check_mapper, make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.planning.active import EntropySettings
 from insonify.planning.decision import Planner, SurveyArea
-from insonify.planning.factory import Task, check_planner, make_planner
+from insonify.planning.factory import PLANNERS, Task, check_planner, make_planner
+from insonify.plugins import name_of
 from insonify.scene import Scene
 from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
 from insonify.sonar.devices import Kind, SonarDevice, resolved_device
@@ -95,6 +96,19 @@ def scenario_config(name: str, layers: Iterable[Table] = ()) -> Config:
     check_planner(config.planner, config.planner_options)
     check_mapper(config.mapper, config.mapper_options)
     return config
+
+
+def naming(config: Config, planner: Planner | None, mapper: Mapper | None) -> Config:
+    """A config that names the objects that are used in place of what it named, if any are.
+
+    What else they were made with is not recorded.
+    """
+    changes: Table = {}
+    if planner is not None:
+        changes |= {"planner": name_of(planner, PLANNERS), "planner_options": {}}
+    if mapper is not None:
+        changes |= {"mapper": name_of(mapper, MAPPERS), "mapper_options": {}}
+    return config.model_copy(update=changes)
 
 
 class World:

@@ -8,15 +8,15 @@ from typing import Any
 
 from insonify.config.settings import validated
 from insonify.errors import ConfigError, ResultError
+from insonify.io.folders import RESULT
 from insonify.mission.result import RESULTS, Result
 from insonify.types import StopReason
 
-RESULT, CONFIG, RECORDING = "result.json", "config.toml", "recording.mcap"
+CONFIG, RECORDING = "config.toml", "recording.mcap"
 _TELLING = {
     "recordings": "map",
     "stop_reason": "scan",
     "renderer": "images",
-    "categories": "dataset",
 }
 """Keys by which a file of version 0.1, which did not say so, is told."""
 
@@ -48,9 +48,9 @@ def load_result(path: Path | str) -> Result:
         raise ResultError(f"{file}: holds no result")
     if "schema_version" not in table:
         table = _of_today(file, table)
-    model = RESULTS.get(str(table["kind"]))
-    if model is None or table.get("schema_version") != 1:
-        what = f"{table['kind']!r} of version {table.get('schema_version')!r}"
+    model = RESULTS.get(str(table.get("kind")))
+    if model is None or table["schema_version"] != 1:
+        what = f"{table.get('kind')!r} of version {table['schema_version']!r}"
         raise ResultError(f"{file}: a result {what}, which this version of insonify cannot read")
     try:
         return validated(model, table, where=str(file), see="docs/reference.md")

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from insonify.config.layers import read_table
+from insonify.config.layers import read_layer
 from insonify.config.settings import Settings, validated
 from insonify.config.toml import to_toml
-from insonify.errors import MissingExtraError
+from insonify.errors import MissingExtraError, ResultError
+from insonify.io.folders import RESULT
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings
@@ -20,7 +21,7 @@ from insonify.mission.remap import Remap
 from insonify.mission.result import MapResult
 from insonify.planning.active import EntropySettings
 from insonify.planning.entropy import entropy_map
-from insonify.results.files import CONFIG, save_result
+from insonify.results.files import CONFIG, load_result, save_result
 from insonify.results.mappers import load_state, save_mapper
 from insonify.sonar.devices import device_of
 
@@ -82,15 +83,31 @@ def load_mapper(path: Path | str) -> Mapper:
     Raises:
         MapFileError: The map cannot be read.
         ConfigError: Its mapper cannot be had.
+        ResultError: It was made by another mapper than its config names.
     """
     path = Path(path)
     voxels = load_map(path)
     folder = path if path.is_dir() and path.suffix != ".zarr" else path.parent
-    table = read_table(folder / CONFIG) if (folder / CONFIG).is_file() else {}
-    known = {key: table[key] for key in MapConfig.model_fields if key in table}
-    config = validated(MapConfig, known, where=str(folder / CONFIG))
+    config = config_of(folder) if (folder / CONFIG).is_file() else MapConfig()
     settings = config.mapping.model_copy(update={"voxel_m": voxels.voxel_m})
     mapper = make_mapper(config.mapper, settings, config.mapper_options)
+    made_by = getattr(load_result(folder), "mapper", None) if (folder / RESULT).is_file() else None
+    if made_by not in (None, mapper.name):
+        raise ResultError(
+            f"{folder / CONFIG}: names mapper {config.mapper!r}, and the map was made by "
+            f"{made_by!r}; name the one that made it"
+        )
     mapper.voxels = voxels
     load_state(mapper, folder)
     return mapper
+
+
+def config_of(folder: Path) -> MapConfig:
+    """How the map in a result's folder was made.
+
+    Raises:
+        ConfigError: Its config cannot be read.
+    """
+    table = read_layer(folder / CONFIG)
+    known = {key: table[key] for key in MapConfig.model_fields if key in table}
+    return validated(MapConfig, known, where=str(folder / CONFIG))

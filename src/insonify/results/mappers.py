@@ -37,7 +37,6 @@ def load_state(mapper: Mapper, folder: Path) -> None:
     """
     path = folder / STATE
     if not path.is_file():
-        mapper.load({})
         return
     arrays = read_archive(path, _FORMAT, _VERSION, ResultError)
     if str(arrays.get("mapper")) != mapper.name:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from insonify.config.layers import read_table
 from insonify.config.toml import config_to_toml
-from insonify.errors import MissingExtraError, ResultError
+from insonify.errors import InsonifyError, MissingExtraError, ResultError
 from insonify.io.decisions import load_decisions, save_decisions
-from insonify.io.folders import result_folder
+from insonify.io.folders import RESULT, result_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.io.recordings import open_recording
 from insonify.io.trajectories import load_track, save_track
@@ -22,9 +22,10 @@ from insonify.mission.loop import Step
 from insonify.mission.result import ScanResult
 from insonify.mission.run import KEYFRAMES, Run, execute
 from insonify.mission.setup import Config
-from insonify.results.files import CONFIG, RECORDING, RESULT, load_result, save_result
+from insonify.planning.decision import DecisionRecord
+from insonify.results.files import CONFIG, RECORDING, load_result, save_result
 from insonify.results.mappers import save_mapper
-from insonify.results.scratch import OWNER, claim, find_unfinished
+from insonify.results.scratch import OWNER, claim, find_unfinished, keep
 from insonify.types import Box, PosedPing, ScanPath
 
 MAP, CLOUD, DECISIONS, TRUTH = "map.npz", "map.ply", "decisions.npz", "truth.npz"
@@ -78,7 +79,14 @@ def run_scan(
                 record(run, step)
 
             run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
-        result = save_scan(run, place.scratch)
+        try:
+            result = save_scan(run, place.scratch)
+        except (OSError, InsonifyError):
+            raise
+        except Exception:  # a fault in a user's mapper should not cost the scan
+            _log.warning("the scan could not be saved; the same command goes on after its pings")
+            keep(place.scratch)
+            raise
         (place.scratch / OWNER).unlink()
     if before is not None:
         shutil.rmtree(before, ignore_errors=True)
@@ -114,7 +122,7 @@ def _report(account: Account, path: Path) -> None:
 
 def is_scan(folder: Path) -> bool:
     """Whether a folder is one of `save_scan`, with all that `load_scan` needs."""
-    names = (RESULT, CONFIG, RECORDING, DECISIONS, TRUTH, MAP)
+    names = (RESULT, CONFIG, DECISIONS, TRUTH, MAP)
     return all((folder / name).is_file() for name in names)
 
 
@@ -141,7 +149,6 @@ def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
     read_table(folder / CONFIG)
     truth, solids = load_truth(folder / TRUTH)
     decisions, paths = load_decisions(folder / DECISIONS)
-    track = folder / TRACK
     return Account(
         result=result,
         config_toml=(folder / CONFIG).read_text(encoding="utf-8"),
@@ -151,19 +158,24 @@ def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
         solids=solids,
         decisions=decisions,
         paths=paths,
-        keyframes=_keyframes(folder, paths) if with_keyframes else (),
-        moments=load_track(track) if track.is_file() else (),
+        keyframes=_keyframes(folder, decisions, paths) if with_keyframes else (),
+        moments=() if result.vehicle is None else load_track(folder / TRACK),
     )
 
 
-def _keyframes(folder: Path, paths: tuple[ScanPath, ...]) -> tuple[tuple[int, PosedPing], ...]:
-    """The pings of a recording that a run keeps for pictures."""
-    counts = [len(path.waypoints) for path in paths]
-    starts = accumulate(counts, initial=0)
+def _keyframes(
+    folder: Path, decisions: tuple[DecisionRecord, ...], paths: tuple[ScanPath, ...]
+) -> tuple[tuple[int, PosedPing], ...]:
+    """The pings of a recording that a run keeps for pictures; none if it was not recorded."""
+    if not (folder / RECORDING).is_file():
+        return ()
+    planned = [made.decision.path for made in decisions if made.decision.path is not None]
+    starts = accumulate((len(path.waypoints) for path in paths), initial=0)
     wanted = {
-        start + quarter * count // 4: scan
-        for scan, (start, count) in enumerate(zip(starts, counts, strict=False), 1)
+        start + quarter * len(path.waypoints) // 4: scan
+        for scan, (start, path, flown) in enumerate(zip(starts, planned, paths, strict=False), 1)
         for quarter in KEYFRAMES
+        if quarter * len(path.waypoints) // 4 < len(flown.waypoints)
     }
     return tuple(
         (wanted[number], posed)

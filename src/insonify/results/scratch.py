@@ -22,6 +22,13 @@ def claim(folder: Path, config: str) -> None:
     (folder / OWNER).write_text(f"{os.getpid()} {started!r}", encoding="utf-8")
 
 
+def keep(folder: Path) -> Path:
+    """Move a scratch folder to where it outlives its job, for another to find; its new name."""
+    kept = folder.with_name(f"{folder.name}-kept")
+    folder.replace(kept)
+    return kept
+
+
 def find_unfinished(target: Path, config: str, holds: str) -> Path | None:
     """The scratch folder of a dead job of the same config to the same target, if there is one.
 

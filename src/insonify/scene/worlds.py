@@ -29,8 +29,6 @@ from insonify.scene.sdf import (
 from insonify.scene.seabed import grid_triangles
 from insonify.types import Float64
 
-WORLD_SUFFIXES = (".world", ".sdf", ".xml")
-
 
 class WorldWarning(UserWarning):
     """A part of a world that is left out; the scene is usable without it."""

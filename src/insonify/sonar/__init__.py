@@ -13,7 +13,7 @@ from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
 from insonify.sonar.histogram import Law, Renderer, Response
 from insonify.sonar.opengl import OpenGLRenderer
-from insonify.sonar.physical import PhysicalSettings, Receiver, SpeckleField, form_physical
+from insonify.sonar.physical import PhysicalSettings, Receiver, Speckle, SpeckleField, form_physical
 from insonify.sonar.sampling import SamplingSettings
 from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
@@ -43,8 +43,7 @@ class Sonar:
     """A simulated sonar.
 
     Its settings do not change.  With ``physical``, its state does: ``speckle`` moves on with every
-    ping, so that a sonar that stays where it is sees the same speckle again.  `fresh` has the same
-    settings and no past.
+    ping, so that a sonar that stays where it is sees the same speckle again.
 
     Args:
         device: What is mounted on the vehicle.
@@ -92,9 +91,11 @@ class Sonar:
             image = form_physical(echoes, geometry, receiver, self.speckle, pose, rng)
         return Ping(image, geometry, time_s, head_rad)
 
-    def fresh(self) -> Sonar:
-        """The same sonar before its first ping."""
-        return replace(self, speckle=SpeckleField())
+    def skip(self, pose: Pose, rng: np.random.Generator) -> None:
+        """Let its state move on as if it had pinged from a pose; ``rng`` moves on in part only."""
+        if self.physical is not None and self.physical.speckle is not Speckle.NONE:
+            receiver = Receiver(self.device, self.physical, self.water)
+            receiver.move(self.speckle, self.device.geometry_at(0.0), pose, rng)
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""

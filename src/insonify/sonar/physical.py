@@ -146,6 +146,19 @@ class Receiver:
     settings: PhysicalSettings = PhysicalSettings()
     water: WaterSettings = WaterSettings()
 
+    def beam_rad(self, geometry: FanGeometry) -> float:
+        """Its beams' width; as wide as they are apart where the device does not say."""
+        return math.radians(self.device.beamwidth_deg) or geometry.beam_rad
+
+    def move(
+        self, speckle: SpeckleField, geometry: FanGeometry, pose: Pose, rng: np.random.Generator
+    ) -> Float32:
+        """The speckle of the next ping (`SpeckleField.move`): the first that is drawn for it."""
+        k_shape = self.settings.k_shape if self.settings.speckle is Speckle.K else None
+        wavelength_m = self.water.sound_speed_mps / (1000.0 * self.device.frequency_khz)
+        shape = (geometry.bins, geometry.beams)
+        return speckle.move(shape, pose, self.beam_rad(geometry), wavelength_m, k_shape, rng)
+
 
 def form_physical(
     echoes: EchoHistogram,
@@ -171,14 +184,11 @@ def form_physical(
     level_db = settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m
     solid_angle = geometry.beam_rad * geometry.elevation_fov_rad
     power = (10.0 ** (level_db / 10.0) * solid_angle).astype(np.float32) * echoes.echo
-    beam_rad = math.radians(device.beamwidth_deg) or geometry.beam_rad
     if settings.side_lobes and geometry.beams > 1:
+        beam_rad = receiver.beam_rad(geometry)
         power = power @ _leakage(geometry.beams, geometry.beam_rad, beam_rad, settings.taper)
     if settings.speckle is not Speckle.NONE:
-        k_shape = settings.k_shape if settings.speckle is Speckle.K else None
-        wavelength_m = water.sound_speed_mps / (1000.0 * device.frequency_khz)
-        shape = (geometry.bins, geometry.beams)
-        power = power * speckle.move(shape, pose, beam_rad, wavelength_m, k_shape, rng)
+        power = power * receiver.move(speckle, geometry, pose, rng)
     if settings.noise_level_db > -100.0:
         noise = np.float32(10.0 ** (settings.noise_level_db / 20.0))
         heard = np.sqrt(power) + noise * complex_noise(power.shape, rng)

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from insonify.config.layers import read_table
-from insonify.config.settings import validated
 from insonify.errors import InsonifyError, MapFileError, RecordingError
 from insonify.io.maps import LOADED, load_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, Recording
 from insonify.mapping.factory import MAPPERS, make_mapper
-from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.account import Account
 from insonify.mission.remap import Remap, map_recordings
 from insonify.results.files import CONFIG, RECORDING
+from insonify.results.map import MapConfig, config_of
 from insonify.results.scan import is_scan, load_scan
 from insonify.types import Box, PosedPing
 from insonify.view.story import Story, Thinned
+
+_log = logging.getLogger(__name__)
 
 MOST_PICTURES = 200
 """Of the map of a recording, whose length is known."""
@@ -44,15 +46,13 @@ class Told:
     go_on: Callable[[Callable[[int, int], None], Callable[[], bool]], None]
 
 
-def open_story(
-    path: Path, reading: Reading, settings: MappingSettings, region: Box | None = None
-) -> Told:
+def open_story(path: Path, reading: Reading, config: MapConfig, region: Box | None = None) -> Told:
     """The story of a run's folder, a map, or a recording.
 
     Args:
         path: A result folder of ``scan`` or ``map``, a map that can be read, or a recording.
         reading: What the user says of a recording.
-        settings: How a recording is mapped.
+        config: How a recording is mapped; a run that was broken off is mapped by its own.
         region: Where uncertainty counts; by default the run's own, or around what is occupied.
 
     Raises:
@@ -60,9 +60,9 @@ def open_story(
     """
     if is_scan(path):
         return _scan_story(path)
+    how: MapConfig | None = config
     if (path / RECORDING).is_file() and (path / CONFIG).is_file():  # broken off, or an older one
-        table = read_table(path / CONFIG).get("mapping", {})
-        settings, path = validated(MappingSettings, table), path / RECORDING
+        how, path = _config_again(path), path / RECORDING
     if (path / "map.npz").is_file() or (path.suffix in LOADED and _is_map(path)):
         return Told(map_story(path, region), 0, lambda watch, should_stop: None)
     recording = open_recording(path, reading)
@@ -71,7 +71,7 @@ def open_story(
         story,
         recording.count,
         lambda watch, should_stop: _tell_recording(
-            story, recording, settings, region, watch, should_stop
+            story, recording, how, region, watch, should_stop
         ),
     )
 
@@ -114,8 +114,14 @@ def _tell_scan(
 
     Where that mapper is not one of ours, or maps otherwise today, the map is shown as it was saved.
     """
+    if not (folder / RECORDING).is_file():
+        _log.warning("%s: the run was not recorded, so its map is shown without pings", folder)
+        story.add_map(account.voxels, account.region)
+        story.changed()
+        return
     recording = open_recording(folder / RECORDING)
-    mapper = _mapper_again(folder)
+    how = _config_again(folder)
+    mapper = None if how is None else make_mapper(how.mapper, how.mapping)
     story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
     before = 1
     for number, (scan, posed) in enumerate(_by_scan(account, recording), 1):
@@ -131,8 +137,10 @@ def _tell_scan(
         watch(number, recording.count)
         if should_stop():
             return
-    if mapper is not None and not _same(mapper.voxels, account.voxels):
-        story.maps = Thinned()
+    if mapper is not None:
+        mapper.finish_scan()
+        if not _same(mapper.voxels, account.voxels):
+            story.maps = Thinned()
     story.add_map(account.voxels, account.region)
     story.changed()
 
@@ -146,16 +154,18 @@ def _by_scan(account: Account, recording: Recording) -> Iterator[tuple[int, Pose
         yield (scans[number] if number < len(scans) else len(account.paths)), posed
 
 
-def _mapper_again(folder: Path) -> Mapper | None:
-    """The mapper of a run, empty again; None if it is a user's own, whose code is not run here."""
-    table = read_table(folder / CONFIG)
-    name = str(table.get("mapper", "bayes"))
-    if name not in MAPPERS:
-        return None
-    try:
-        return make_mapper(name, validated(MappingSettings, table.get("mapping", {})))
-    except InsonifyError:
-        return None
+def _config_again(folder: Path) -> MapConfig | None:
+    """How a run's map was made, to make it again.
+
+    None if that was by a mapper of a user's own, whose code is not run here, or if the settings are
+    those of another version.
+    """
+    with suppress(InsonifyError):
+        config = config_of(folder)
+        if config.mapper in MAPPERS:
+            return config
+    _log.warning("%s: its mapper is not run here, so the map is not seen to grow", folder)
+    return None
 
 
 def _same(ours: VoxelMap, saved: VoxelMap) -> bool:
@@ -168,18 +178,18 @@ def _same(ours: VoxelMap, saved: VoxelMap) -> bool:
 def _tell_recording(
     story: Story,
     recording: Recording,
-    settings: MappingSettings,
+    config: MapConfig | None,
     region: Box | None,
     watch: Callable[[int, int], None],
     should_stop: Callable[[], bool],
 ) -> None:
-    """A recording, mapped as it goes; images alone if it has no poses.
+    """A recording, mapped as it goes; images alone if it has no poses or nothing says how.
 
     Raises:
         InsonifyError: There are no pings in it, or the map would not fit into memory.
     """
     story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
-    if recording.facts.get("poses", "none") == "none":
+    if config is None or recording.facts.get("poses", "none") == "none":
         for number, posed in enumerate(recording, 1):
             story.add_ping(posed)
             story.changed()
@@ -198,7 +208,10 @@ def _tell_recording(
         story.changed()
         watch(number, recording.count)
 
-    remap = map_recordings([recording], settings, region, watch=tell, should_stop=should_stop)
+    mapper = make_mapper(config.mapper, config.mapping, config.mapper_options)
+    remap = map_recordings(
+        [recording], config.mapping, region, mapper=mapper, watch=tell, should_stop=should_stop
+    )
     story.add_map(remap.mapper.voxels, remap.region)
     story.changed()
 

@@ -19,18 +19,19 @@ from typing import Any
 import numba
 
 from insonify.config.toml import config_to_toml
-from insonify.errors import ConfigError, MemoryLimitError, OutputError
+from insonify.errors import ConfigError, InsonifyError, MemoryLimitError, OutputError
 from insonify.imaging.dataset import Dataset, Shots
 from insonify.io.folders import result_folder, write_file
 from insonify.mission.result import DatasetResult
 from insonify.results.dataset import coco, store
 from insonify.results.files import save_result
-from insonify.results.scratch import OWNER, claim, find_unfinished
+from insonify.results.scratch import OWNER, claim, find_unfinished, keep
 
 DONE = "done"
 """Folder of one file for each view that is whole; gone when the dataset is."""
 IMAGES, MASKS, STORE, ANNOTATIONS = "images", "masks", "dataset.zarr", "annotations.json"
 
+_NO_ROOM = (MemoryLimitError, OutputError)
 _log = logging.getLogger(__name__)
 _shots: Shots | None = None
 """What a worker process makes views of."""
@@ -74,8 +75,10 @@ def make_dataset(
             result = write_dataset(
                 config, place.scratch, workers=workers, watch=watch, should_stop=should_stop
             )
-        except (OSError, OutputError, MemoryLimitError):
-            _keep(place.scratch, config.count)
+        except BaseException as err:
+            bad_input = isinstance(err, InsonifyError) and not isinstance(err, _NO_ROOM)
+            if not bad_input:  # also if Ctrl-C came twice
+                _keep(place.scratch, config.count)
             raise
         if result is None:
             _keep(place.scratch, config.count)
@@ -94,9 +97,7 @@ def _contents(materials: str) -> str:
 
 def _keep(scratch: Path, count: int) -> None:
     """Leave what is whole for the same call to go on with."""
-    kept = scratch.with_name(f"{scratch.name}-kept")
-    scratch.replace(kept)
-    done = sum(1 for _ in (kept / DONE).glob("*.json"))
+    done = sum(1 for _ in (keep(scratch) / DONE).glob("*.json"))
     _log.info("stopped after %d of %d views; the same command goes on from there", done, count)
 
 
