@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+import insonify
+from insonify.jit import kernel_sources
 
 pytestmark = pytest.mark.slow
 
@@ -34,6 +38,25 @@ for module in pkgutil.walk_packages(insonify.__path__, "insonify."):
 for step in STEPS:
     warm_up_step(step)
 print(*(kernel.__name__ for kernel in KERNELS if not kernel.signatures))
+"""
+
+_CONSTANTS = """
+import importlib, pkgutil, types, insonify
+from insonify.jit import KERNELS
+for module in pkgutil.walk_packages(insonify.__path__, "insonify."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+def names(code):
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, types.CodeType):
+            yield from names(inner)
+for kernel in KERNELS:
+    known = kernel.py_func.__globals__
+    for name in sorted(set(names(kernel.py_func.__code__))):
+        value = known.get(name)
+        if value is not None and not callable(value) and not isinstance(value, types.ModuleType):
+            print(kernel.py_func.__module__, name)
 """
 
 
@@ -80,6 +103,34 @@ def test_kernels_of_old_sources_go_once_none_can_be_running(package: Path) -> No
     os.utime(old, (long_ago, long_ago))
     _ask(package)
     assert not old.exists() and len(list(cache.glob("kernels-*"))) == 1
+
+
+def test_no_kernel_takes_a_constant_of_a_file_that_is_not_watched() -> None:
+    """What is compiled in would stay as it was when the file changes."""
+    watched = {path.resolve() for path in kernel_sources()}
+    done = subprocess.run(
+        [sys.executable, "-c", _CONSTANTS], capture_output=True, text=True, check=True
+    )
+    taken = [line.split() for line in done.stdout.splitlines()]
+    assert ["insonify.mapping.bayes", "BLOCK"] in taken
+    unwatched = []
+    for module, name in taken:
+        while module:
+            path = Path(insonify.__file__).parents[1] / (module.replace(".", "/") + ".py")
+            if not path.is_file():
+                path = path.with_suffix("") / "__init__.py"
+            if path.resolve() not in watched:
+                unwatched.append((module, name))
+            module = _whence(path, name)
+    assert unwatched == []
+
+
+def _whence(path: Path, name: str) -> str:
+    """The module that a file imports a name from, nothing if it does not."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.ImportFrom) and name in [a.asname or a.name for a in node.names]:
+            return node.module or ""
+    return ""
 
 
 def test_warm_up_leaves_nothing_to_compile(tmp_path: Path) -> None:

@@ -32,6 +32,8 @@ KERNELS: list[Any] = []
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parent
+_CONSTANTS = ("mapping/store.py", "mapping/voxels.py", "vehicle/model.py")
+"""Files without kernels whose constants kernels take."""
 _PREFIX = "kernels-"
 _KEPT_S = 7 * 24 * 3600.0
 _CONFIG: Any = config
@@ -69,13 +71,21 @@ def cache_folder() -> Path | None:
 
 
 def kernels_digest() -> str:
-    """A digest of all files of the package that have kernels, and of numba's version."""
+    """A digest of all that compiled code depends on: its sources and numba's version."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        text = path.read_bytes()
-        if b"insonify.jit import" in text or path == Path(__file__):
-            digest.update(text)
+    for path in kernel_sources():
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def kernel_sources() -> list[Path]:
+    """All files of the package that have kernels, or constants that are compiled into them."""
+    named = {Path(__file__), *(_PACKAGE / name for name in _CONSTANTS)}
+    return [
+        path
+        for path in sorted(_PACKAGE.rglob("*.py"))
+        if path in named or b"insonify.jit import" in path.read_bytes()
+    ]
 
 
 def _forget_others(place: Path, name: str) -> None:

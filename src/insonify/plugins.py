@@ -14,6 +14,9 @@ from typing import Any
 from insonify.config.settings import did_you_mean
 from insonify.errors import ConfigError
 
+_OF_OBJECTS = ("name", "voxels")
+"""What a class need not have before there is an object of it."""
+
 
 def is_plugin(name: str) -> bool:
     """Whether a name is that of a user's own."""
@@ -50,7 +53,9 @@ def load_plugin(name: str, what: str) -> Callable[..., Any]:
     """
     where, _, inside = name.rpartition(":")
     module = (
-        _from_file(Path(where), name, what) if where.endswith(".py") else _imported(where, what)
+        _from_file(Path(where), name, what)
+        if where.endswith(".py")
+        else _imported(where, name, what)
     )
     found = getattr(module, inside, None)
     if not callable(found):
@@ -95,16 +100,35 @@ def made(
     Raises:
         ConfigError: It does not take its arguments, or lacks something.
     """
+    if isinstance(factory, type):
+        _check_parts(factory, name, what, [key for key in needs if key not in _OF_OBJECTS])
     try:
         plugin = factory(*given, **options)
     except TypeError as err:
         if err.__traceback__ is not None and err.__traceback__.tb_next is not None:
             raise  # not the call, but something in it
         raise ConfigError(f"{what} {name!r}: cannot be made ({err}); see docs/own.md") from err
-    lacking = [key for key in needs if not hasattr(plugin, key)]
+    check_object(plugin, name, what, needs)
+    return plugin
+
+
+def check_object(plugin: Any, name: str, what: str, needs: Iterable[str]) -> None:
+    """Refuse an object that cannot be a planner or mapper.
+
+    Raises:
+        ConfigError: It is a class, it lacks something, or its name is no text.
+    """
+    if isinstance(plugin, type):
+        raise ConfigError(f"{what} {name!r}: is a class; give an object of it")
+    _check_parts(plugin, name, what, needs)
+    if not isinstance(plugin.name, str):
+        raise ConfigError(f"{what} {name!r}: its name is no text, but {plugin.name!r}")
+
+
+def _check_parts(part: Any, name: str, what: str, needs: Iterable[str]) -> None:
+    lacking = [key for key in needs if not hasattr(part, key)]
     if lacking:
         raise ConfigError(f"{what} {name!r}: lacks {', '.join(lacking)}; see docs/own.md")
-    return plugin
 
 
 def _from_file(path: Path, name: str, what: str) -> ModuleType:
@@ -136,15 +160,15 @@ def _look_in(folder: Path) -> None:
         sys.path.insert(0, str(folder))
 
 
-def _imported(name: str, what: str) -> ModuleType:
+def _imported(where: str, name: str, what: str) -> ModuleType:
     _look_in(Path.cwd())
     try:
-        return import_module(name)
+        return import_module(where)
     except ModuleNotFoundError as err:
-        if err.name is not None and not name.startswith(err.name):
+        if err.name is not None and not where.startswith(err.name):
             raise  # what it imports itself
         raise ConfigError(
-            f"{what} {name!r}: there is no module of that name here or installed; give "
+            f"{what} {name!r}: there is no module {where!r} here or installed; give "
             "MODULE:NAME or FILE.py:NAME"
         ) from err
     except (ValueError, TypeError) as err:

@@ -167,6 +167,11 @@ class ScanPath:
 
     waypoints: tuple[Pose, ...]
 
+    def __post_init__(self) -> None:
+        for waypoint in self.waypoints:
+            if not isinstance(waypoint, Pose):
+                raise GeometryError(f"a waypoint is a Pose, not {waypoint!r}")
+
     @property
     def length_m(self) -> float:
         """Length of the straight legs between the waypoints."""

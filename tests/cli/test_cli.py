@@ -256,8 +256,12 @@ main()
 """
 
 
-def test_a_killed_scan_goes_on_where_it_was_with_the_same_result(tmp_path: Path) -> None:
+@pytest.mark.parametrize("model", ["cerqueira", "physical"])
+def test_a_killed_scan_goes_on_where_it_was_with_the_same_result(
+    model: str, tmp_path: Path
+) -> None:
     quick = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=12"]
+    quick += ["--set", f"model={model}", "--set", "survey.approach_m=1.0"]
     scan = ["scan", "tetrapod", *quick, "--json"]
     whole = _run(*scan, "--out", "whole", cwd=tmp_path)
     assert whole.returncode == 0, whole.stderr

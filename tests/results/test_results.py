@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import insonify.mission.run
+import insonify.results.scan
 from insonify.config.toml import config_to_toml
 from insonify.errors import InsonifyError, OutputError, ResultError
 from insonify.io.decisions import load_decisions
@@ -19,7 +20,8 @@ from insonify.mission.run import Run, execute
 from insonify.mission.setup import scenario_config
 from insonify.report.html import write_report
 from insonify.results.files import load_result
-from insonify.results.scan import load_scan, run_scan
+from insonify.results.map import load_mapper
+from insonify.results.scan import is_scan, load_scan, run_scan, save_scan
 from insonify.types import StopReason
 
 pytestmark = pytest.mark.slow
@@ -163,6 +165,7 @@ def test_a_figure_file_of_version_0_1_is_read(scanned: tuple[Run, Path], tmp_pat
         ("[]", "holds no result"),
         ("{}", "does not say what kind"),
         ('{"kind": "scan", "schema_version": 99}', "'scan' of version 99"),
+        ('{"schema_version": 1}', "None of version 1"),
         ('{"kind": "dance", "schema_version": 1}', "'dance'"),
         ('{"kind": "scan", "schema_version": 1}', "field required"),
     ],
@@ -174,6 +177,72 @@ def test_what_is_no_result_is_one_sentence(text: str, words: str, tmp_path: Path
     assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
     with pytest.raises(ResultError, match="no such result"):
         load_result(tmp_path / "none")
+
+
+def test_parts_of_an_earlier_result_go_with_it(
+    scanned: tuple[Run, Path], flown: tuple[Run, Path], tmp_path: Path
+) -> None:
+    """A track or a mapper's state that stayed would be read as the new run's."""
+    folder = tmp_path / "run"
+    shutil.copytree(flown[1], folder)
+    (folder / "mapper.npz").write_bytes(b"of another mapper")
+    (folder / "notes.txt").write_text("mine")
+    run_scan(scenario_config("tetrapod", [SMALL]), folder, force=True)
+    assert {path.name for path in folder.iterdir()} == {
+        "notes.txt", *(path.name for path in scanned[1].iterdir())
+    }  # fmt: skip
+    assert load_scan(folder).moments == ()
+    assert load_mapper(folder).name == "bayes"
+
+
+def test_a_run_without_a_recording_is_read_back(scanned: tuple[Run, Path], tmp_path: Path) -> None:
+    save_scan(scanned[0], tmp_path)
+    assert is_scan(tmp_path)
+    back = load_scan(tmp_path, with_keyframes=True)
+    assert back.keyframes == () and len(back.decisions) == len(scanned[0].decisions)
+
+
+def test_pictures_of_a_scan_that_was_cut_short_are_the_same(tmp_path: Path) -> None:
+    runs: list[Run] = []
+    asked = iter(range(1, 100))
+    run_scan(
+        scenario_config("tetrapod", [SMALL]),
+        tmp_path / "run",
+        watch=lambda run, step: runs.append(run),
+        should_stop=lambda: next(asked) >= 13,
+    )
+    back = load_scan(tmp_path / "run", with_keyframes=True).keyframes
+    assert [(scan, posed.pose) for scan, posed in back] == [
+        (scan, posed.pose) for scan, posed in runs[-1].keyframes
+    ]
+    assert [scan for scan, _ in back] == [1, 1, 1, 2, 2]
+
+
+def test_a_map_of_another_mapper_than_its_config_names_is_refused(
+    scanned: tuple[Run, Path], tmp_path: Path
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(scanned[1], folder)
+    text = (folder / "result.json").read_text()
+    (folder / "result.json").write_text(text.replace('"mapper": "bayes"', '"mapper": "carver"'))
+    with pytest.raises(ResultError, match="names mapper 'bayes', and the map was made by 'carver'"):
+        load_mapper(folder)
+
+
+def test_a_scan_that_a_mappers_fault_keeps_from_being_saved_is_not_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def faulty(run: Run, folder: Path) -> ScanResult:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patched, pytest.raises(ZeroDivisionError):
+        patched.setattr(insonify.results.scan, "save_scan", faulty)
+        run_scan(scenario_config("tetrapod", [SMALL]), tmp_path / "run")
+    (kept,) = tmp_path.iterdir()
+    assert (kept / "recording.mcap").stat().st_size > 100_000
+    monkeypatch.setattr("insonify.results.scratch._lives", lambda owner, started: False)
+    result, _ = run_scan(scenario_config("tetrapod", [SMALL]), tmp_path / "run")
+    assert [path.name for path in tmp_path.iterdir()] == ["run"] and result.scans > 1
 
 
 def test_a_run_that_lacks_its_decisions_is_refused(

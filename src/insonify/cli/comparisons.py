@@ -175,8 +175,10 @@ def print_comparison(table: Table) -> None:
         view = RichTable(
             "", title=f"{name} (paper: {source})", box=box.SIMPLE, padding=(0, 1, 0, 0)
         )
-        for planner in order:
-            view.add_column(planner.rpartition(":")[2], no_wrap=True)
+        short = [planner.rpartition(":")[2] for planner in order]
+        for planner, head in zip(order, short, strict=True):
+            head = head if short.count(head) == 1 else planner
+            view.add_column(head, no_wrap=True)
             view.add_column("paper" if "paper" in planners[planner] else "", style="dim")
         tolerances = (("exact", "exact"), ("within_one_voxel", "±1 voxel"))
         for kind, (match, label) in product(("solid", "surface"), tolerances):

@@ -24,6 +24,7 @@ from insonify.cli.root import (
     file_layers,
     interruptible,
     print_listing,
+    print_report,
     single_layers,
 )
 from insonify.errors import ConfigError, GeometryError
@@ -148,7 +149,7 @@ def map_(
         print(json.dumps(result.to_json(), indent=2))
     else:
         print_listing(["what", "value"], _result_rows(result))
-    print(f"Report: {place.target / 'report.html'}", file=sys.stderr)
+    print_report(place.target)
     if interrupted():
         print("insonify: interrupted; what was mapped until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)

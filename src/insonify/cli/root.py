@@ -177,6 +177,13 @@ def datum_from_text(text: str) -> Datum:
     return Datum(*numbers)
 
 
+def print_report(folder: Path) -> None:
+    """Say where a result's report is; where it lies, if there is none."""
+    report = folder / "report.html"
+    where = f"Report: {report}" if report.is_file() else f"Results: {folder}"
+    print(where, file=sys.stderr)
+
+
 def print_listing(head: list[str], rows: list[list[str]]) -> None:
     """A table of text on stdout."""
     from rich.console import Console

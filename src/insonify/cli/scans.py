@@ -27,6 +27,7 @@ from insonify.cli.root import (
     choices,
     configure,
     interruptible,
+    print_report,
 )
 from insonify.cli.vehicles import (
     CurrentOption,
@@ -100,7 +101,7 @@ def _scan(
 ) -> None:
     from insonify.cli.views import live_page, serve
     from insonify.io.folders import unused_folder
-    from insonify.results.scan import REPORT, run_scan
+    from insonify.results.scan import run_scan
 
     name = f"{config.scenario}-{_short(config.planner)}-seed{config.seed}"
     folder = out or unused_folder(Path("insonify-runs") / name)
@@ -114,7 +115,7 @@ def _scan(
         print(json.dumps(result.to_json(), indent=2))
     else:
         print_result(result)
-    print(f"Report: {target / REPORT}", file=sys.stderr)
+    print_report(target)
     if interrupted():
         print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
         raise typer.Exit(EXIT_INTERRUPTED)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Iterable
 from functools import cache
@@ -73,7 +74,7 @@ def absolute(name: str, folder: Path | None = None) -> str:
     Names without a suffix are left alone, as they may be known ones; ``FILE.py:NAME`` is a file.
     """
     file, colon, inside = name.partition(":") if ".py:" in name else (name, "", "")
-    path = (folder or Path.cwd()) / file
+    path = (folder or Path.cwd()) / os.path.expanduser(file)  # noqa: PTH111
     return f"{path.absolute()}{colon}{inside}" if path.suffix and path.is_file() else name
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import RecordingError
+from insonify.errors import GeometryError, RecordingError
 from insonify.io.archives import read_archive
 from insonify.planning.clusters import Cluster
 from insonify.planning.decision import Decision, DecisionRecord, Look
@@ -53,6 +53,8 @@ def load_decisions(path: Path) -> tuple[tuple[DecisionRecord, ...], tuple[ScanPa
     arrays = read_archive(path, FORMAT, VERSION, RecordingError)
     try:
         poses, scans = _poses(arrays["flown"]), arrays["flown_scan"].tolist()
+        if scans and set(scans) != set(range(1, max(scans) + 1)):
+            raise ValueError("scans are missing")
         flown = [
             ScanPath(tuple(pose for pose, scan in zip(poses, scans, strict=True) if scan == number))
             for number in range(1, max(scans, default=0) + 1)
@@ -64,7 +66,7 @@ def load_decisions(path: Path) -> tuple[tuple[DecisionRecord, ...], tuple[ScanPa
             })
             for number, pings in enumerate(arrays["pings"])
         )  # fmt: skip
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError) as err:
+    except (KeyError, ValueError, TypeError, IndexError, AttributeError, GeometryError) as err:
         raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
     return records, tuple(flown)
 
@@ -105,7 +107,10 @@ def _record(pings: int, arrays: dict[str, Array]) -> DecisionRecord:
         )
     path = ScanPath(_poses(arrays["path"])) if "path" in arrays else None
     stop = StopReason(str(arrays["stop"])) if "stop" in arrays else None
-    return DecisionRecord(pings, Decision(path, stop, look), arrays.get("entropy_bits"))
+    bits = arrays.get("entropy_bits")
+    if bits is not None and (bits.ndim != 2 or bits.dtype != np.float32):
+        raise ValueError("the entropy is no picture")
+    return DecisionRecord(pings, Decision(path, stop, look), bits)
 
 
 def _rows(poses: Iterable[Pose]) -> Array:

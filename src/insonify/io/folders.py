@@ -76,6 +76,8 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[ResultFolder
         yield place
         place.target = _publish(scratch, target, force)
     except OSError as err:
+        if not _is_about(err, scratch, target):
+            raise
         raise OutputError(
             f"{target}: the results cannot be written ({_reason(err)}); nothing was kept"
         ) from err
@@ -127,6 +129,8 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
             target.rename(scratch / f"{target.name}.replaced")
         (scratch / target.name).replace(target)
     except OSError as err:
+        if not _is_about(err, scratch, target):
+            raise
         raise OutputError(f"{target}: cannot be written ({_reason(err)})") from err
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
@@ -176,6 +180,16 @@ def _publish(scratch: Path, target: Path, force: bool) -> Path:
         except OSError:
             if not os.path.lexists(free):
                 raise
+
+
+def _is_about(err: OSError, *places: Path) -> bool:
+    """Whether an error is one of writing there, and not of something else that a job does."""
+    if err.errno is None:
+        return False
+    if not isinstance(err.filename, str | os.PathLike):
+        return True  # a write to a file that was open
+    path = Path(err.filename).absolute()
+    return any(path.is_relative_to(place.absolute()) for place in places)
 
 
 def _umask() -> int:

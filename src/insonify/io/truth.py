@@ -54,14 +54,15 @@ def load_truth(path: Path) -> tuple[GroundTruth, tuple[Solid, ...]]:
     """
     arrays = read_archive(path, FORMAT, VERSION, RecordingError)
     try:
-        shape = tuple(int(n) for n in arrays["shape"])
+        nx, ny, nz = (int(n) for n in arrays["shape"])
+        shape = (nx, ny, nz)
         count = int(np.prod(shape))
         surface, solid, scored = (
             np.unpackbits(arrays[name])[:count].astype(bool).reshape(shape) for name in _VOXELS
         )
         box = Box.of(arrays["low_m"].tolist(), arrays["high_m"].tolist())
         solids = [
-            Solid(str(name), arrays[f"{number}_vertices"], arrays[f"{number}_faces"])
+            _solid(str(name), arrays[f"{number}_vertices"], arrays[f"{number}_faces"])
             for number, name in enumerate(arrays["names"])
         ]
         if "seabed_heights_m" in arrays:
@@ -69,6 +70,18 @@ def load_truth(path: Path) -> tuple[GroundTruth, tuple[Solid, ...]]:
             heights_m = arrays["seabed_heights_m"].astype(np.float64)
             seabed = Seabed(heights_m, float(arrays["seabed_cell_m"]), (x_m, y_m))
             solids.append(Solid("seabed", *seabed.triangles()))
+        if not np.isfinite([*box.low_m, *box.high_m]).all():
+            raise ValueError("its box is not finite")
     except (KeyError, ValueError, TypeError) as err:
         raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
     return GroundTruth(box, surface, solid, scored), tuple(solids)
+
+
+def _solid(name: str, vertices: Array, faces: Array) -> Solid:
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise ValueError(f"{name} has no vertices")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind != "i":
+        raise ValueError(f"{name} has no faces")
+    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise ValueError(f"{name} has faces without vertices")
+    return Solid(name, vertices, faces)

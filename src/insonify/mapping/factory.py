@@ -10,7 +10,8 @@ from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.plugins import check_name, load_plugin, made
 
 MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {"bayes": BayesMapper}
-_NEEDS = ("name", "voxels", "integrate", "finish_scan", "tells", "save", "load")
+MAPPER_PARTS = ("name", "voxels", "integrate", "finish_scan", "tells", "save", "load")
+"""What every mapper has."""
 
 
 def make_mapper(
@@ -30,7 +31,7 @@ def make_mapper(
     if name in MAPPERS:
         return MAPPERS[name](settings)
     factory = load_plugin(name, "mapper")
-    mapper: Mapper = made(factory, name, "mapper", (settings,), options or {}, _NEEDS)
+    mapper: Mapper = made(factory, name, "mapper", (settings,), options or {}, MAPPER_PARTS)
     return mapper
 
 

@@ -105,8 +105,10 @@ def check_voxels(mapper: Mapper, settings: MappingSettings) -> None:
     """Refuse a mapper whose voxels are not those of the settings, before it maps anything.
 
     Raises:
-        ConfigError: They are of another size.
+        ConfigError: They are of another size, or none.
     """
+    if not isinstance(mapper.voxels, VoxelMap):
+        raise ConfigError(f"mapper {mapper.name!r}: its voxels are no VoxelMap; see docs/own.md")
     if mapper.voxels.voxel_m != settings.voxel_m:
         raise ConfigError(
             f"mapper {mapper.name!r} has voxels of {mapper.voxels.voxel_m:g} m, and "

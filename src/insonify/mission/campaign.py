@@ -49,9 +49,13 @@ def compare(
     """
     layers = list(layers)
     order = sorted(dict.fromkeys(planners), key=lambda planner: planner != FIRST)
+    settings = dict.fromkeys(order, layers)
+    if not PLANNERS.keys() >= set(order):  # then options are for those that take some
+        plain = [{k: v for k, v in layer.items() if k != "planner_options"} for layer in layers]
+        settings |= {planner: plain for planner in order if planner in PLANNERS}
     for name in names:
         for planner in order:  # bad input shows before the first run
-            config = scenario_config(name, [*layers, {"planner": planner}])
+            config = scenario_config(name, [*settings[planner], {"planner": planner}])
             for what, own in (("planner", config.planner), ("mapper", config.mapper)):
                 if is_plugin(own):
                     load_plugin(own, what)
@@ -61,7 +65,7 @@ def compare(
             scans: Table = {}
             for planner in order:
                 chosen = {"planner": planner, "seed": seed}
-                config = scenario_config(name, [*layers, chosen, scans])
+                config = scenario_config(name, [*settings[planner], chosen, scans])
                 run = execute(config, watch=watch, should_stop=should_stop)
                 if should_stop():
                     return rows

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from insonify.errors import GeometryError
+from insonify.errors import ConfigError, GeometryError
 from insonify.mapping.mapper import Mapper
 from insonify.mapping.voxels import VoxelMap
 from insonify.planning.decision import Decision, Planner
@@ -78,10 +78,13 @@ def fly(carrier: Carrier, mapper: Mapper, planner: Planner) -> Iterator[Step]:
 
     Raises:
         GeometryError: The very first path cannot be flown.
+        ConfigError: The planner's answer is none.
     """
     nav = Nav(None, ())
     while True:
         decision = planner.next_scan(mapper, nav)  # entropy map, C_max, candidates, H_sum
+        if not isinstance(decision, Decision):
+            raise ConfigError(f"planner {planner.name!r} gave {decision!r}, which is no Decision")
         yield Decided(decision)
         if decision.stop is not None:
             yield Ended(decision.stop)

@@ -170,6 +170,7 @@ class Remembered:
 
     posed: PosedPing
     set_noise: Callable[[np.random.Generator], None]
+    source: str
 
 
 def execute(
@@ -266,9 +267,9 @@ def _sonar(
             return world.sonar.ping(world.scene, true, noise)
         if past.posed.pose != believed:
             raise GeometryError(
-                "the scan that was broken off went another way than this one does, as its planner "
-                "or insonify has changed since; give another --out, or delete the hidden folder "
-                "that it left beside this one"
+                f"{past.source}: the scan that was broken off went another way than this one "
+                "does, as its planner or mapper or insonify has changed since; delete it, or give "
+                "another --out"
             )
         world.sonar.skip(true, noise)
         past.set_noise(noise)

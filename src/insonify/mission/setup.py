@@ -13,12 +13,12 @@ from insonify.config.layers import named_tables, overlaid
 from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError, MeshError
 from insonify.imaging.settings import Imaging
-from insonify.mapping.factory import MAPPERS, check_mapper, make_mapper
+from insonify.mapping.factory import MAPPER_PARTS, MAPPERS, check_mapper, make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.planning.active import EntropySettings
 from insonify.planning.decision import Planner, SurveyArea
-from insonify.planning.factory import PLANNERS, Task, check_planner, make_planner
-from insonify.plugins import name_of
+from insonify.planning.factory import PLANNER_PARTS, PLANNERS, Task, check_planner, make_planner
+from insonify.plugins import check_object, name_of
 from insonify.scene import Scene
 from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
 from insonify.sonar.devices import Kind, SonarDevice, resolved_device
@@ -102,11 +102,16 @@ def naming(config: Config, planner: Planner | None, mapper: Mapper | None) -> Co
     """A config that names the objects that are used in place of what it named, if any are.
 
     What else they were made with is not recorded.
+
+    Raises:
+        ConfigError: They are no such objects.
     """
     changes: Table = {}
     if planner is not None:
+        check_object(planner, repr(planner), "planner", PLANNER_PARTS)
         changes |= {"planner": name_of(planner, PLANNERS), "planner_options": {}}
     if mapper is not None:
+        check_object(mapper, repr(mapper), "mapper", MAPPER_PARTS)
         changes |= {"mapper": name_of(mapper, MAPPERS), "mapper_options": {}}
     return config.model_copy(update=changes)
 

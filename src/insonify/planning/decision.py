@@ -69,6 +69,10 @@ class Decision:
     def __post_init__(self) -> None:
         if (self.path is None) == (self.stop is None):
             raise ValueError("a decision is either a path or a reason to stop")
+        if self.stop is not None and not isinstance(self.stop, StopReason):
+            raise ValueError(f"a reason to stop is a StopReason, not {self.stop!r}")
+        if self.path is not None and not isinstance(self.path, ScanPath):
+            raise ValueError(f"a path is a ScanPath, not {self.path!r}")
         if self.path is not None and not self.path.waypoints:
             raise ValueError("a path needs a waypoint at least")
 

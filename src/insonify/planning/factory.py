@@ -12,7 +12,8 @@ from insonify.planning.decision import Planner, SurveyArea
 from insonify.plugins import check_name, load_plugin, made
 from insonify.types import FanGeometry
 
-_NEEDS = ("name", "next_scan")
+PLANNER_PARTS = ("name", "next_scan")
+"""What every planner has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,7 @@ def make_planner(name: str, task: Task, options: Mapping[str, Any] | None = None
     if name in PLANNERS:
         return PLANNERS[name](task)
     factory, given = load_plugin(name, "planner"), (task.area, task.geometry)
-    planner: Planner = made(factory, name, "planner", given, options or {}, _NEEDS)
+    planner: Planner = made(factory, name, "planner", given, options or {}, PLANNER_PARTS)
     return planner
 
 

@@ -37,15 +37,15 @@ def remembered(folder: Path) -> tuple[int, Iterator[Remembered]]:
             recording = read_bag(bag, Reading())
         except RecordingError:
             return 0, iter(())
-    return recording.count, _remembered(recording, states)
+    return recording.count, _remembered(recording, states, str(folder))
 
 
-def _remembered(recording: Recording, states: dict[int, Any]) -> Iterator[Remembered]:
+def _remembered(recording: Recording, states: dict[int, Any], source: str) -> Iterator[Remembered]:
     for posed in recording:
         words = states.get(round(posed.ping.time_s * 1e9))
         if posed.pose is None or words is None or len(words) != 6:
             return
-        yield Remembered(posed, partial(_set_noise, words=words))
+        yield Remembered(posed, partial(_set_noise, words=words), source)
 
 
 def _set_noise(generator: Any, words: Any) -> None:

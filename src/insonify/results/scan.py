@@ -93,8 +93,12 @@ def run_scan(
     return result, place.target
 
 
-def save_scan(run: Run, folder: Path) -> ScanResult:
-    """Write a run into a folder that exists: all but its recording, which is written as it goes."""
+def save_scan(run: Run, folder: Path | str) -> ScanResult:
+    """Write a run into a folder that exists: all but its recording, which is written as it goes.
+
+    `run_scan` does both.
+    """
+    folder = Path(folder)
     account = run.account()
     if run.flight is not None:
         save_track(run.flight.track, folder / TRACK)
@@ -138,12 +142,13 @@ def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
         InsonifyError: One of its files is missing or damaged.
     """
     folder = Path(folder)
+    folder = folder.parent if folder.name == RESULT else folder
     result = load_result(folder)
     if not isinstance(result, ScanResult):
         raise ResultError(f"{folder}: the result of another command ({result.kind}), not of scan")
     if not (folder / DECISIONS).is_file() or result.region_m is None:
         raise ResultError(
-            f"{folder}: made by an older version of insonify, which did not record its decisions; "
+            f"{folder}: has no {DECISIONS}, as runs of older versions of insonify; "
             f"scan again (insonify scan --config {folder / CONFIG})"
         )
     read_table(folder / CONFIG)
