@@ -49,16 +49,8 @@ def compare(
     """
     layers = list(layers)
     order = sorted(dict.fromkeys(planners), key=lambda planner: planner != FIRST)
-    settings = dict.fromkeys(order, layers)
-    if not PLANNERS.keys() >= set(order):  # then options are for those that take some
-        plain = [{k: v for k, v in layer.items() if k != "planner_options"} for layer in layers]
-        settings |= {planner: plain for planner in order if planner in PLANNERS}
-    for name in names:
-        for planner in order:  # bad input shows before the first run
-            config = scenario_config(name, [*settings[planner], {"planner": planner}])
-            for what, own in (("planner", config.planner), ("mapper", config.mapper)):
-                if is_plugin(own):
-                    load_plugin(own, what)
+    settings = _by_planner(order, layers)
+    _check_all(names, settings)
     rows: list[ScanResult] = []
     for name in names:
         for seed in range(seeds):
@@ -74,6 +66,24 @@ def compare(
                 if planner == FIRST:
                     scans = {"survey": {"baseline_scans": len(run.paths)}}
     return rows
+
+
+def _by_planner(planners: Sequence[str], layers: list[Table]) -> dict[str, list[Table]]:
+    """The settings of each planner: options are for a user's own, if one is among them."""
+    plain = layers
+    if not PLANNERS.keys() >= set(planners):
+        plain = [{k: v for k, v in layer.items() if k != "planner_options"} for layer in layers]
+    return {planner: plain if planner in PLANNERS else layers for planner in planners}
+
+
+def _check_all(names: Sequence[str], settings: dict[str, list[Table]]) -> None:
+    """Bad input shows before the first run."""
+    for name in names:
+        for planner, layers in settings.items():
+            config = scenario_config(name, [*layers, {"planner": planner}])
+            for what, own in (("planner", config.planner), ("mapper", config.mapper)):
+                if is_plugin(own):
+                    load_plugin(own, what)
 
 
 def summarise(rows: Sequence[ScanResult]) -> Table:

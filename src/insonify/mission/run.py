@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +18,7 @@ from insonify.mapping.fan import blocks_in_fan
 from insonify.mapping.mapper import Mapper, check_voxels
 from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
 from insonify.mission.account import Account
+from insonify.mission.clock import Clock, timed
 from insonify.mission.loop import (
     Decided,
     Ended,
@@ -198,7 +198,7 @@ def execute(
     Raises:
         InsonifyError: The config does not make a world that can be scanned.
     """
-    clock = _Clock()
+    clock = Clock()
     config = naming(config, planner, mapper)
     world = World(config)
     _check_memory(world)
@@ -214,7 +214,18 @@ def execute(
     if isinstance(carrier, Voyage):
         run.flight = Flight(carrier, _copy(mapper))
     clock.lap("setup")
-    for step in _timed(fly(carrier, mapper, planner), clock):
+    _follow(run, timed(fly(carrier, mapper, planner), clock), watch, should_stop)
+    return run
+
+
+def _follow(
+    run: Run,
+    steps: Iterable[Step],
+    watch: Callable[[Run, Step], None],
+    should_stop: Callable[[], bool],
+) -> None:
+    """Take a mission's steps until it ends, or is to stop."""
+    for step in steps:
         _note(run, step)
         watch(run, step)
         if run.flight is not None:
@@ -222,9 +233,8 @@ def execute(
         if isinstance(step, Mapped) and should_stop():
             break
     if not run.history or run.history[-1].pings < run.pings:  # the last scan was cut short
-        mapper.finish_scan()
+        run.mapper.finish_scan()
         _note_scan(run)
-    return run
 
 
 def _copy(mapper: Mapper) -> Mapper:
@@ -276,33 +286,6 @@ def _sonar(
         return past.posed.ping
 
     return insonify
-
-
-class _Clock:
-    """Wall time by phase."""
-
-    def __init__(self) -> None:
-        self.seconds = dict.fromkeys(("setup", "sonar", "mapping", "planning"), 0.0)
-        self.restart()
-
-    def restart(self) -> None:
-        self._since = time.perf_counter()
-
-    def lap(self, phase: str) -> None:
-        self.seconds[phase] += time.perf_counter() - self._since
-
-
-_PHASES: dict[type[Step], str] = {Decided: "planning", Pinged: "sonar", Mapped: "mapping"}
-
-
-def _timed(mission: Iterator[Step], clock: _Clock) -> Iterator[Step]:
-    """The mission's steps; the time each took to come goes to its phase."""
-    clock.restart()
-    for step in mission:
-        if type(step) in _PHASES:
-            clock.lap(_PHASES[type(step)])
-        yield step
-        clock.restart()
 
 
 def _note(run: Run, step: Step) -> None:

@@ -79,18 +79,23 @@ def run_scan(
                 record(run, step)
 
             run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
-        try:
-            result = save_scan(run, place.scratch)
-        except (OSError, InsonifyError):
-            raise
-        except Exception:  # a fault in a user's mapper should not cost the scan
-            _log.warning("the scan could not be saved; the same command goes on after its pings")
-            keep(place.scratch)
-            raise
+        result = _save_or_keep(run, place.scratch)
         (place.scratch / OWNER).unlink()
     if before is not None:
         shutil.rmtree(before, ignore_errors=True)
     return result, place.target
+
+
+def _save_or_keep(run: Run, scratch: Path) -> ScanResult:
+    """Save a run; what was scanned is kept if a fault in a user's mapper is in the way."""
+    try:
+        return save_scan(run, scratch)
+    except (OSError, InsonifyError):
+        raise
+    except Exception:
+        _log.warning("the scan could not be saved; the same command goes on after its pings")
+        keep(scratch)
+        raise
 
 
 def save_scan(run: Run, folder: Path | str) -> ScanResult:
