@@ -60,8 +60,10 @@ _UsageError = cast(type[Exception], typer.BadParameter.__bases__[0])
 
 def _usage(err: Any) -> str:
     """What is wrong with a command line, in one sentence."""
-    message = " ".join(err.format_message().split()).removesuffix(".")
+    message = " ".join(err.format_message().split()).removesuffix(".").replace("Value error, ", "")
     given = _given(getattr(err, "param", None))
+    if given and given.removeprefix(", not ") in message:
+        given = ""
     command = err.ctx.command_path if err.ctx is not None else "insonify"
     return f"{message[:1].lower()}{message[1:]}{given} (see `{command} --help`)"
 

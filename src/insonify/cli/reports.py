@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from insonify.cli.root import app
+from insonify.cli.root import JsonOption, app
 
 
 @app.command()
@@ -17,6 +18,7 @@ def report(
     out: Annotated[
         Path | None, typer.Option(metavar="HTML", help="By default report.html in RUN.")
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Make a scan's report again from its files; nothing is run again."""
     from insonify.io.folders import result_file
@@ -27,4 +29,7 @@ def report(
     target = out or run / REPORT
     with result_file(target, force=True) as scratch:
         write_report(account, scratch)
-    print(f"Report: {target}", file=sys.stderr)
+    if as_json:
+        print(json.dumps({"report": str(target)}))
+    else:
+        print(f"Report: {target}", file=sys.stderr)

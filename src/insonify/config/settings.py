@@ -28,7 +28,7 @@ def validated(
     *,
     prefix: str = "",
     where: str = "",
-    see: str = "`insonify config` for all settings",
+    see: str = "`insonify config tetrapod` for all settings",
 ) -> Model:
     """A table as a model's settings.
 
@@ -75,7 +75,7 @@ def all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
     return keys
 
 
-def did_you_mean(word: str, known: Iterable[str], see: str = "`insonify config`") -> str:
+def did_you_mean(word: str, known: Iterable[str], see: str = "the docs") -> str:
     """The end of a message about an unknown name: the nearest known one, or all if they are few."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1)
