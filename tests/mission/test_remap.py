@@ -76,7 +76,8 @@ def test_poses_of_another_time_are_told_from_none(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"within the time of its poses.*--clock-offset"):
         map_recordings([open_recording(tmp_path / "r.npz", reading)], MappingSettings())
     late = Reading(poses=tmp_path / "p.tum", clock_offset_s=50.0)
-    replay = map_recordings([open_recording(tmp_path / "r.npz", late)], MappingSettings())
+    with pytest.warns(RecordingWarning, match="nothing is occupied"):
+        replay = map_recordings([open_recording(tmp_path / "r.npz", late)], MappingSettings())
     assert replay.result().to_json()["pings"] == 2
 
 
@@ -94,7 +95,8 @@ def test_what_would_not_fit_is_refused_before_it_is_mapped(rng: np.random.Genera
 def test_the_report_of_an_empty_sea(tmp_path: Path, rng: np.random.Generator) -> None:
     silent = [PosedPing(Ping(np.zeros((16, 8), np.float32), FAN), Pose(0.0, 0.0, -1.0))]
     save_arrays(tmp_path / "r.npz", silent)
-    replay = map_recordings([open_recording(tmp_path / "r.npz")], MappingSettings())
+    with pytest.warns(RecordingWarning, match="nothing is occupied: the brightest pixel is 0 of"):
+        replay = map_recordings([open_recording(tmp_path / "r.npz")], MappingSettings())
     write_map_report(replay, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 4
@@ -145,3 +147,38 @@ def test_clearance_is_to_the_nearest_occupied_voxel() -> None:
     distance = clearance_m(voxels, Pose(-5.0, 9.0, 0.5), path)
     assert distance == pytest.approx(4.0 - math.sqrt(3.0) / 2)
     assert clearance_m(VoxelMap(1.0), Pose(0, 0, 0), path) == math.inf
+
+
+def _spot(dtype: str, loudest: float, path: Path) -> Path:
+    """A bright spot of 3 x 3 pixels at 5 m in ten pings."""
+    images = np.zeros((10, 100, 60))
+    images[:, 49:52, 29:32] = loudest
+    np.savez(
+        path, images=images.astype(dtype), range_min_m=0.1, range_max_m=10.0, azimuth_deg=60.0,
+        elevation_deg=20.0, pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (10, 1)),
+    )  # fmt: skip
+    return path
+
+
+@pytest.mark.parametrize(
+    ("dtype", "loudest"), [("uint8", 255), ("float32", 255), ("uint16", 4095), ("float64", 60)]
+)
+def test_the_full_scale_of_pixels_is_asked_for(dtype: str, loudest: float, tmp_path: Path) -> None:
+    """The same map by every type, if the full scale is said; else a refusal or a warning."""
+
+    def occupied(path: Path, full_scale: float | None) -> int:
+        recording = open_recording(path, Reading(full_scale=full_scale))
+        return map_recordings([recording], MappingSettings()).result().occupied_voxels
+
+    right = occupied(_spot("float32", 1.0, tmp_path / "r.npz"), None)
+    assert right > 20
+    path = _spot(dtype, loudest, tmp_path / "s.npz")
+    assert occupied(path, float(loudest)) == right
+    if dtype == "uint8":
+        assert occupied(path, None) == right
+    elif dtype == "uint16":
+        with pytest.warns(RecordingWarning, match=r"the brightest pixel is 15.9 of 255.*--scale"):
+            occupied(path, None)
+    else:
+        with pytest.raises(RecordingError, match=rf"s\.npz.*up to {loudest}, above.*--scale"):
+            occupied(path, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -51,6 +52,26 @@ OffsetOption = Annotated[
     float,
     typer.Option("--clock-offset", metavar="S", help="Added to ping times to find their poses."),
 ]
+GapOption = Annotated[
+    float | None,
+    typer.Option(
+        "--max-gap",
+        metavar="S",
+        help="Pings between poses further apart have none; by default five times the poses' own "
+        "interval, a second at least.",
+        show_default=False,
+    ),
+]
+ScaleOption = Annotated[
+    float | None,
+    typer.Option(
+        "--scale",
+        metavar="VALUE",
+        help="The pixel that means the loudest; by default the largest of a whole number's type, "
+        "and 1 of floating ones.",
+        show_default=False,
+    ),
+]
 SonarTopicOption = Annotated[
     str | None, typer.Option("--sonar-topic", metavar="TOPIC", help="Of a bag: the pings.")
 ]
@@ -82,13 +103,15 @@ def info(
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
     pose_topic: PoseTopicOption = None,
+    max_gap: GapOption = None,
+    scale: ScaleOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
     from insonify.io.recordings import open_recording
     from insonify.io.recordings.summary import summarise
 
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
@@ -117,6 +140,8 @@ def map_(
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
     pose_topic: PoseTopicOption = None,
+    max_gap: GapOption = None,
+    scale: ScaleOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
@@ -131,7 +156,7 @@ def map_(
 
     full = map_config(voxel, absolute(mapper), settings, config)
     box = box_from_text(region) if region is not None else None
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
         _say_what_is_assumed(recordings)
@@ -255,13 +280,19 @@ def reading_of(
     clock_offset_s: float,
     sonar_topic: str | None,
     pose_topic: str | None,
+    max_gap_s: float | None,
+    full_scale: float | None,
 ) -> Reading:
     """What the options say of a recording."""
     from insonify.io.recordings.recording import Reading
     from insonify.sonar.devices import named_device
 
     device = named_device(sonar) if sonar is not None else None
-    return Reading(device, poses, clock_offset_s, sonar_topic, pose_topic)
+    if max_gap_s is not None and not max_gap_s > 0.0:
+        raise ConfigError(f"--max-gap takes seconds above 0, not {max_gap_s:g}")
+    if full_scale is not None and not 0.0 < full_scale < math.inf:
+        raise ConfigError(f"--scale takes the value of the loudest echo, not {full_scale:g}")
+    return Reading(device, poses, clock_offset_s, sonar_topic, pose_topic, max_gap_s, full_scale)
 
 
 def _rows(summary: dict[str, Any]) -> list[list[str]]:

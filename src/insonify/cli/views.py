@@ -12,10 +12,12 @@ import typer
 
 from insonify.cli.progress import progress
 from insonify.cli.recordings import (
+    GapOption,
     OffsetOption,
     PosesOption,
     PoseTopicOption,
     RegionOption,
+    ScaleOption,
     SonarOption,
     SonarTopicOption,
     VoxelOption,
@@ -44,6 +46,8 @@ def view(
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
     pose_topic: PoseTopicOption = None,
+    max_gap: GapOption = None,
+    scale: ScaleOption = None,
     settings: SetOption = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
@@ -55,7 +59,7 @@ def view(
 
     how = map_config(voxel, None, settings)
     box = box_from_text(region) if region is not None else None
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic)
+    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
     told = open_story(path, reading, how, box)
     page = Page(told.story, host, port)
     if as_json:

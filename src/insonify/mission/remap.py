@@ -42,6 +42,7 @@ class Remap:
         fans: The fan geometries, in order of appearance.
         keyframes: Some pings, for pictures, with the name of their recording and their number.
         region: Where entropy is counted and shown.
+        brightest: The largest pixel of those that were mapped.
         seconds: Wall time of reading and mapping.
     """
 
@@ -52,6 +53,7 @@ class Remap:
     fans: list[FanGeometry] = field(default_factory=list)
     keyframes: list[tuple[str, int, PosedPing]] = field(default_factory=list)
     region: Box = Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    brightest: float = 0.0
     seconds: dict[str, float] = field(default_factory=lambda: {"reading": 0.0, "mapping": 0.0})
 
     def result(self) -> MapResult:
@@ -63,6 +65,7 @@ class Remap:
             recordings=tuple(self.sources),
             pings=len(self.poses),
             path_m=round(sum(math.dist(a.position_m, b.position_m) for a, b in legs), 6),
+            brightest_pixel=round(self.brightest, 6),
             fans=tuple(describe_fan(fan) for fan in self.fans),
             mapping=self.settings.model_dump(),
             occupied_voxels=int((self.mapper.voxels.log_odds > 0.0).sum()),
@@ -113,6 +116,8 @@ def map_recordings(
         remap.mapper.finish_scan()
         if should_stop():
             break
+    if not (remap.mapper.voxels.log_odds > 0.0).any():
+        _warn_of_nothing(remap)
     remap.region = region or remap.mapper.voxels.around_occupied()
     voxels = math.prod(size / settings.voxel_m for size in remap.region.size_m)
     if voxels > MOST_REGION_VOXELS:
@@ -136,6 +141,7 @@ def _map_one(
             _check_memory(remap, posed.ping.geometry)
             remap.mapper.integrate(posed.ping, posed.pose)
             remap.poses.append(posed.pose)
+            remap.brightest = max(remap.brightest, float(posed.ping.image.max(initial=0.0)))
             mapped += 1
             if pings - 1 in kept:
                 remap.keyframes.append((recording.path.name, pings, posed))
@@ -150,7 +156,8 @@ def _map_one(
     if mapped < pings:
         warnings.warn(
             f"{recording.path}: {pings - mapped} of {pings} pings have no pose at their time and "
-            "are left out (--clock-offset moves the pings' clock)",
+            "are left out (--clock-offset moves the pings' clock, --max-gap bears longer gaps "
+            "between poses)",
             RecordingWarning,
             stacklevel=3,
         )
@@ -162,6 +169,18 @@ def _map_one(
             "mapped": mapped,
         }
     )
+
+
+def _warn_of_nothing(remap: Remap) -> None:
+    threshold = remap.settings.pixel_threshold
+    why = "silence outweighs every echo"
+    if remap.brightest <= threshold / 255.0:
+        why = (
+            f"the brightest pixel is {255.0 * remap.brightest:.3g} of 255, and echoes are those "
+            f"above {threshold}; lower it (--set mapping.pixel_threshold=...), or say which value "
+            "of a pixel means the loudest (--scale)"
+        )
+    warnings.warn(f"nothing is occupied: {why}", RecordingWarning, stacklevel=3)
 
 
 def _timed(remap: Remap, recording: Recording) -> Iterator[PosedPing]:

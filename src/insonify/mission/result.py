@@ -93,6 +93,7 @@ class MapResult(Result):
     recordings: tuple[Table, ...]
     pings: int
     path_m: float
+    brightest_pixel: float | None = Field(None, description="of 1; older files do not tell")
     fans: tuple[Table, ...]
     mapping: Table
     occupied_voxels: int

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks import samples
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from scipy.spatial.transform import Rotation, Slerp
 
 from insonify.errors import ConfigError, RecordingError
 from insonify.frames import transform_from_pose
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
-from insonify.io.recordings.beams import even_fan, unit_pixels
+from insonify.io.recordings.beams import PixelError, even_fan, unit_pixels
 from insonify.io.recordings.poses import PoseTrack, read_poses
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.sonar.devices import SonarDevice, named_device
@@ -79,7 +81,8 @@ def test_the_turtles_columns_run_from_starboard_to_port_and_its_sonar_is_rolled(
         ({"time_s": np.zeros(3)}, "time_s"),
         ({"pose_body": np.zeros((2, 5))}, "pose_body"),
         ({"pose_body": np.full((2, 6), np.nan)}, "not finite"),
-        ({"pose_sensor": np.zeros((2, 4, 4))}, "rigid"),
+        ({"pose_sensor": np.zeros((2, 4, 4))}, "last row"),
+        ({"pose_sensor": np.tile(np.diag([2.0, 1.0, 1.0, 1.0]), (2, 1, 1))}, "rigid"),
         ({"pose_sensor": np.stack([np.diag([1.0, 1.0, -1.0, 1.0])] * 2)}, "mirrored"),
         ({"pose_sensor": np.zeros((3, 4, 4))}, "one pose for each"),
         ({"images": np.array([[[None]]])}, "damaged"),
@@ -236,6 +239,67 @@ def test_every_beam_of_the_even_fan_is_the_devices_nearest(
 
 def test_pixels_are_scaled_by_their_type() -> None:
     assert unit_pixels(np.array([[65535]], np.uint16)).item() == 1.0
-    assert unit_pixels(np.array([[2.0, -1.0]])).tolist() == [[1.0, 0.0]]
+    assert unit_pixels(np.array([[4095]], np.uint16), 4095.0).item() == 1.0
+    assert unit_pixels(np.array([[255.0, 51.0]]), 255.0).tolist() == [[1.0, np.float32(0.2)]]
+    assert unit_pixels(np.array([[1.00001, -0.00001]])).tolist() == [[1.0, 0.0]]  # of rounding
+    for pixels, words in (([[255.0, 0.0]], "up to 255, above the full scale of 1.*--scale"),
+                          ([[-40.0, 0.5]], "down to -40.*decibels")):  # fmt: skip
+        with pytest.raises(PixelError, match=words):
+            unit_pixels(np.array(pixels))
+    with pytest.raises(PixelError, match="up to 4096, above the full scale of 4095"):
+        unit_pixels(np.array([[4096]], np.uint16), 4095.0)
     with pytest.raises(ValueError, match="not a number"):
         unit_pixels(np.array([[np.nan]]))
+
+
+def test_a_gap_between_poses_says_nothing_of_the_time_within() -> None:
+    times = [*range(11), 110.0, 111.0]
+    rows = np.array([[t, 0.1 * t, 0.0, -5.0, 0.0, 0.0, 0.0, 1.0] for t in times])
+    track = PoseTrack(rows)
+    assert track.max_gap_s == 5.0
+    assert track.at(50.0) is None and track.at(10.0) is not None
+    inside = track.at(110.5)
+    assert inside is not None and inside.x_m == pytest.approx(11.05)
+    longer = PoseTrack(rows, 100.0).at(50.0)
+    assert longer is not None and longer.x_m == pytest.approx(5.0)
+    assert PoseTrack(rows[::10][:2]).at(5.0) is not None  # sparse throughout is no gap
+    fast = np.array([[0.01 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0] for k in (0, 1, 2, 3, 60, 200)])
+    assert PoseTrack(fast).at(0.3) is not None and PoseTrack(fast).at(1.5) is None
+
+
+def _images_folder(tmp_path: Path, *pictures: Image.Image) -> Path:
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for number, picture in enumerate(pictures):
+        picture.save(folder / f"{number}.png")
+    (folder / "sonar.toml").write_text("azimuth_fov_deg = 60.0\nrange_max_m = 5.0\n")
+    return folder
+
+
+def test_colours_do_not_say_how_loud_an_echo_was(tmp_path: Path, rng: np.random.Generator) -> None:
+    grey = rng.integers(0, 256, (8, 6), dtype=np.uint8)
+    three = Image.fromarray(np.repeat(grey[..., None], 3, axis=2))
+    folder = _images_folder(tmp_path, Image.fromarray(grey), three, three.convert("RGBA"))
+    for recorded in open_recording(folder):
+        np.testing.assert_allclose(recorded.ping.image, grey / 255, atol=1e-6)
+    coloured = np.stack([grey, grey // 2, 255 - grey], axis=2)
+    Image.fromarray(coloured).save(folder / "0.png")
+    with pytest.raises(RecordingError, match=r"0\.png: a picture in colours .*in grey"):
+        open_recording(folder)
+
+
+def test_matrices_and_angles_that_cannot_be_meant_are_refused(tmp_path: Path) -> None:
+    pose = Pose(1.0, 2.0, -3.0, 0.1, 0.2, 0.3)
+    matrix = transform_from_pose(pose)
+    fan: Any = {"range_min_m": 0.1, "range_max_m": 5.0, "azimuth_deg": 60.0, "elevation_deg": 20.0}
+    images = np.zeros((1, 8, 6), np.uint8)
+    path = tmp_path / "r.npz"
+    np.savez(path, images=images, pose_sensor=matrix[None], **fan)
+    (recorded,) = open_recording(path)
+    assert recorded.pose is not None and recorded.pose.position_m == pytest.approx((1, 2, -3))
+    np.savez(path, images=images, pose_sensor=matrix.T[None], **fan)
+    with pytest.raises(RecordingError, match=r"last row .* transposed"):
+        open_recording(path)
+    np.savez(path, images=images, pose_body=np.array([[0, 0, 0, 0, 0, 90.0]]), **fan)
+    with pytest.raises(RecordingError, match=r"an angle of 90, .*degrees"):
+        open_recording(path)

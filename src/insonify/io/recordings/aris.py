@@ -170,7 +170,9 @@ def _ping(
         _warn(None, f"{err}; the {number} frames before it are read")
         return None
     pixels = np.frombuffer(samples, np.uint8).reshape(first["samples"], beams)
-    return Ping(fan.image(pixels[:, ::-1]), fan.geometry, frame["time_us"] * 1e-6)
+    return Ping(
+        fan.image(pixels[:, ::-1], reading.full_scale), fan.geometry, frame["time_us"] * 1e-6
+    )
 
 
 def _timing(frame: dict[str, Any]) -> tuple[Any, ...]:

@@ -51,7 +51,8 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     def read() -> Iterator[PosedPing]:
         for number, pixels in enumerate(images):
             try:
-                image = unit_pixels(pixels[:, ::-1] if starboard_first else pixels)
+                ordered = pixels[:, ::-1] if starboard_first else pixels
+                image = unit_pixels(ordered, reading.full_scale)
             except ValueError as err:
                 raise RecordingError(f"{path}: image {number + 1}: {err}") from err
             time_s = float(number if times is None else times[number])
@@ -222,10 +223,22 @@ def _pose_rows(path: Path, name: str, rows: Array) -> list[Pose]:
         raise RecordingError(f"{path}: `{name}` needs x, y, z, roll, pitch, yaw (m, rad) a row")
     if not np.isfinite(rows).all():
         raise RecordingError(f"{path}: `{name}` holds a number that is not finite")
+    widest = float(np.abs(rows[:, 3:]).max(initial=0.0))
+    if widest > 2 * math.pi + 1e-6:
+        raise RecordingError(
+            f"{path}: `{name}` has an angle of {widest:.6g}, more than a whole turn; angles are "
+            "radians, so it is likely in degrees"
+        )
     return [Pose(*map(float, row)) for row in rows]
 
 
 def _from_matrices(path: Path, matrices: Float64, mount: Pose) -> list[Pose]:
+    if np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+        across = bool(np.abs(matrices[:, :, 3] - [0.0, 0.0, 0.0, 1.0]).max() <= 1e-6)
+        raise RecordingError(
+            f"{path}: the last row of `pose_sensor` is not 0 0 0 1"
+            + ("; its matrices are transposed, so write pose_sensor.transpose(0, 2, 1)" * across)
+        )
     turns = matrices[:, :3, :3]
     finite = np.isfinite(matrices).all()
     if not finite or np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() > 1e-3:

@@ -15,6 +15,7 @@ import numpy as np
 from insonify.frames import compose
 from insonify.types import Array, FanGeometry, Float32, Float64, Int64, Pose
 
+_ROUNDING = 1e-4
 EVEN = 0.02
 """Beams count as even if none is further from its even place than this share of a beam."""
 
@@ -30,13 +31,13 @@ class EvenFan:
     beams: Int64 | None
     bins: Int64 | None
 
-    def image(self, pixels: Array) -> Float32:
-        """The device's image, (bins, beams), as an image of the even fan."""
+    def image(self, pixels: Array, full_scale: float | None = None) -> Float32:
+        """The device's image, (bins, beams), as an image of the even fan; see `unit_pixels`."""
         if self.beams is not None:
             pixels = pixels[:, self.beams]
         if self.bins is not None:
             pixels = pixels[self.bins]
-        return unit_pixels(pixels)
+        return unit_pixels(pixels, full_scale)
 
 
 def even_fan(
@@ -103,16 +104,34 @@ def _spread(centres: Float64, lone: float) -> tuple[float, float, Int64 | None]:
     return first, last, np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
 
 
-def unit_pixels(pixels: Array) -> Float32:
-    """Pixels as float32 in [0, 1]: whole numbers by their type's range, others cut to it.
+class PixelError(ValueError):
+    """Pixels that cannot be meant as they stand."""
+
+
+def unit_pixels(pixels: Array, full_scale: float | None = None) -> Float32:
+    """Pixels as float32 in [0, 1].
+
+    Args:
+        pixels: Whole numbers or floating ones.
+        full_scale: The value that means 1; by default the largest of a whole number's type, and 1.
 
     Raises:
-        ValueError: A pixel is not a number.
+        PixelError: A pixel is not a number, below 0, or above the full scale.
     """
-    if pixels.dtype.kind in "ui":
-        scaled = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
-    else:
-        scaled = pixels.astype(np.float32)
-        if not np.isfinite(scaled).all():
-            raise ValueError("a pixel is not a number")
+    whole = pixels.dtype.kind in "ui"
+    scale = full_scale or (float(np.iinfo(pixels.dtype).max) if whole else 1.0)
+    scaled = pixels.astype(np.float32) / np.float32(scale)
+    if not np.isfinite(scaled).all():
+        raise PixelError("a pixel is not a number")
+    low, high = float(scaled.min(initial=0.0)), float(scaled.max(initial=0.0))
+    if low < -_ROUNDING:
+        raise PixelError(
+            f"its pixels go down to {low * scale:.6g}, and an echo is never below 0; if they are "
+            "decibels, write amplitudes"
+        )
+    if high > 1.0 + _ROUNDING:
+        raise PixelError(
+            f"its pixels go up to {high * scale:.6g}, above the full scale of {scale:g}; say which "
+            "value means the loudest (--scale 255, for one)"
+        )
     return np.ascontiguousarray(np.clip(scaled, 0.0, 1.0))

@@ -58,7 +58,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
                 continue
             fan = geometry if pixels.shape == first.shape else _geometry(device, pixels)
             time_s = float(number) if times is None else times[number]
-            yield PosedPing(Ping(unit_pixels(pixels), fan, time_s))
+            yield PosedPing(Ping(unit_pixels(pixels, reading.full_scale), fan, time_s))
 
     facts = {"device": device.name, "pixels": str(first.dtype), "poses": "none"}
     count = len(files)
@@ -102,7 +102,16 @@ def _pixels(file: Path) -> Array:
                 width, height = image.size
                 if width * height > MOST_PIXELS:
                     raise RecordingError(f"{file}: {width} x {height} pixels are too many")
-                plain = image.mode in {"L", "I;16", "I;16B", "F"}
-                return np.array(image if plain else image.convert("L"))
+                if image.mode in {"L", "I;16", "I;16B", "F"}:
+                    return np.array(image)
+                if image.mode == "1":
+                    return np.array(image.convert("L"))
+                colours = np.array(image.convert("RGB"))
+                if image.mode in {"I", "CMYK", "YCbCr", "HSV"} or np.ptp(colours, axis=2).any():
+                    raise RecordingError(
+                        f"{file}: a picture in colours ({image.mode}), which do not say how loud "
+                        "an echo was; export it in grey, of 8 or 16 bits"
+                    )
+                return np.ascontiguousarray(colours[..., 0])
     except (*_BROKEN, Image.DecompressionBombWarning) as err:
         raise RecordingError(f"{file}: damaged, or not an image ({reason(err)})") from err

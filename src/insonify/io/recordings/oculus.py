@@ -92,7 +92,8 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
                     fan, shape = _fan(path, message, reading), message.shape
                 file.seek(message.image_at)
                 raw = file.read(message.ranges * message.row_bytes)
-                yield PosedPing(Ping(fan.image(_pixels(message, raw)), fan.geometry))
+                image = fan.image(_pixels(message, raw), reading.full_scale)
+                yield PosedPing(Ping(image, fan.geometry))
 
     fan = _fan(path, first, reading)
     facts = _facts(messages, fan, reading)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,11 +21,22 @@ from insonify.types import Float64, Pose
 MOST_POSE_FILE_BYTES = 1 << 30
 
 
-class PoseTrack:
-    """Poses in order of time; between two of them the position is linear and the turn even."""
+_STEPS_A_GAP, _LEAST_GAP_S = 5.0, 1.0
 
-    def __init__(self, rows: Float64) -> None:
+
+class PoseTrack:
+    """Poses in order of time; between two of them the position is linear and the turn even.
+
+    Attributes:
+        max_gap_s: Two poses further apart say nothing of the time between them.
+    """
+
+    def __init__(self, rows: Float64, max_gap_s: float | None = None) -> None:
         """From rows (N, 8): seconds, x, y, z in metres, quaternion x, y, z, w.
+
+        Args:
+            rows: The poses.
+            max_gap_s: By default five times the median time from pose to pose, a second at least.
 
         Raises:
             ValueError: A number is not finite, a quaternion has no length, or time goes back.
@@ -42,6 +53,10 @@ class PoseTrack:
             raise ValueError("its times go back")
         self._rows = rows.copy()
         self._rows[:, 4:] /= lengths[:, None]
+        steps = np.diff(rows[:, 0])
+        steps = steps[steps > 0.0]
+        own = max(_LEAST_GAP_S, _STEPS_A_GAP * float(np.median(steps))) if len(steps) else 0.0
+        self.max_gap_s = own if max_gap_s is None else max_gap_s
 
     @classmethod
     def of(cls, poses: Iterable[tuple[float, Pose]]) -> PoseTrack:
@@ -70,7 +85,7 @@ class PoseTrack:
         return pose_from_quaternion(self._rows[number, 1:4], self._rows[number, 4:])
 
     def at(self, time_s: float) -> Pose | None:
-        """The pose at a time; None before the first pose and after the last."""
+        """The pose at a time; None before the first, after the last, and within too long a gap."""
         times = self._rows[:, 0]
         after = int(np.searchsorted(times, time_s))
         if after < len(times) and times[after] == time_s:
@@ -78,12 +93,19 @@ class PoseTrack:
         if after == 0 or after == len(times):
             return None
         start, end = self._rows[after - 1], self._rows[after]
+        if end[0] - start[0] > self.max_gap_s:
+            return None
         share = float((time_s - start[0]) / (end[0] - start[0]))
         position = (1.0 - share) * start[1:4] + share * end[1:4]
         return pose_from_quaternion(position, slerp(start[4:], end[4:], share))
 
 
-def read_poses(path: Path) -> PoseTrack:
+def is_pose(row: Sequence[float]) -> bool:
+    """Whether time, position and quaternion, as in a row of `PoseTrack`, are those of a pose."""
+    return bool(np.isfinite(row).all() and abs(np.linalg.norm(row[4:]) - 1.0) <= 0.1)
+
+
+def read_poses(path: Path, max_gap_s: float | None = None) -> PoseTrack:
     """A pose file in TUM format: ``time x y z qx qy qz qw`` a line, spaces or commas between.
 
     Lines that begin with ``#`` are left out, and so is a first line of names.
@@ -119,7 +141,7 @@ def read_poses(path: Path) -> PoseTrack:
     if not rows:
         raise RecordingError(f"{path}: no poses in it; a line is: time x y z qx qy qz qw")
     try:
-        return PoseTrack(np.array(rows))
+        return PoseTrack(np.array(rows), max_gap_s)
     except ValueError as err:
         raise RecordingError(f"{path}: {err}; each line is: time x y z qx qy qz qw") from err
 

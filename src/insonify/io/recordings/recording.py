@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from insonify.errors import RecordingError
+from insonify.io.recordings.beams import PixelError
 from insonify.io.recordings.poses import PoseTrack, read_poses
 from insonify.sonar.devices import SonarDevice
 from insonify.types import Ping, Pose, PosedPing
@@ -29,6 +30,8 @@ class Reading:
             for a device's own file the elevation field of view and the tilt.
         poses: A pose file in TUM format, instead of the poses in the recording.
         clock_offset_s: Added to a ping's time before its pose is looked up.
+        full_scale: The value of a pixel that means 1, if it is not its type's largest.
+        max_gap_s: Between poses further apart pings have none; by default as in `PoseTrack`.
         sonar_topic: Of a bag: where the pings are, if not on the only topic that has some.
         pose_topic: Of a bag: where the poses are.
     """
@@ -38,6 +41,8 @@ class Reading:
     clock_offset_s: float = 0.0
     sonar_topic: str | None = None
     pose_topic: str | None = None
+    max_gap_s: float | None = None
+    full_scale: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +66,15 @@ class Recording:
     read: Callable[[], Iterator[PosedPing]]
 
     def __iter__(self) -> Iterator[PosedPing]:
-        """The pings, in the order of the recording."""
-        return self.read()
+        """The pings, in the order of the recording.
+
+        Raises:
+            RecordingError: Its pixels cannot be meant as they stand, or nothing more can be read.
+        """
+        try:
+            yield from self.read()
+        except PixelError as err:
+            raise RecordingError(f"{self.path}: {err}") from err
 
 
 def with_poses(recording: Recording, reading: Reading, beside: Path | None = None) -> Recording:
@@ -76,7 +88,7 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
     source = reading.poses or beside
     if source is None:
         return recording
-    track = read_poses(source)
+    track = read_poses(source, reading.max_gap_s)
     timed = recording.timed
     if not timed and len(track) != recording.count:
         raise RecordingError(
@@ -84,6 +96,8 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
             f"file needs as many poses, one for each ping in order, not {len(track)}"
         )
     facts = recording.facts | {"poses": f"{len(track)} in {source.name}"}
+    if timed:
+        facts["max_gap_s"] = track.max_gap_s
 
     def read() -> Iterator[PosedPing]:
         for number, recorded in enumerate(recording.read()):

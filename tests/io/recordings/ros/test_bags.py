@@ -181,3 +181,21 @@ def test_a_bag_cut_off_is_read_up_to_there_or_refused(
         else:
             assert 0 < count < 40
             assert "cut off" in str(told[0].message)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_a_message_without_a_pose_leaves_itself_out(tmp_path: Path, kind: str) -> None:
+    maker = BagMaker(kind)
+    image = np.zeros((6, 4), np.uint8)
+    messages = []
+    for k in range(11):
+        turn = np.zeros(4) if k == 3 else LEVEL
+        place = np.array([np.nan if k == 7 else 0.5 * k, 0.0, -5.0])
+        messages.append(("/odom", float(k), maker.odometry(float(k), place, turn)))
+        messages.append(("/s", k + 0.5, maker.projected(k + 0.5, image, AZIMUTHS, RANGES, 0.2)))
+    path = maker.write(tmp_path / "b", messages)
+    with pytest.warns(RecordingWarning, match="2 messages of /odom hold no pose"):
+        pings = list(open_recording(path))
+    poses = [recorded.pose for recorded in pings]
+    assert [pose is None for pose in poses] == [False] * 10 + [True]
+    assert poses[3] is not None and poses[3].x_m == pytest.approx(1.75)

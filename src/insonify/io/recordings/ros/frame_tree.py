@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from insonify.frames import rotation_from_quaternion, transform_from_pose
-from insonify.io.recordings.poses import PoseTrack
+from insonify.io.recordings.poses import PoseTrack, is_pose
 from insonify.types import Float64
 
 _DEEPEST = 64
@@ -17,8 +17,9 @@ _DEEPEST = 64
 class FrameTree:
     """Frames, each with its parent and where it is in it: fixed, or over time."""
 
-    def __init__(self) -> None:
-        """An empty tree."""
+    def __init__(self, max_gap_s: float | None = None) -> None:
+        """An empty tree; its moving links bear gaps as `PoseTrack` does."""
+        self._max_gap_s = max_gap_s
         self._fixed: dict[str, tuple[str, Float64]] = {}
         self._rows: dict[str, list[list[float]]] = defaultdict(list)
         self._parents: dict[str, str] = {}
@@ -33,7 +34,7 @@ class FrameTree:
         for link in message.transforms:
             child, parent = _plain(link.child_frame_id), _plain(link.header.frame_id)
             row = [stamp_s(link.header), *_numbers(link.transform)]
-            if not np.isfinite(row).all() or abs(np.linalg.norm(row[4:]) - 1.0) > 0.1:
+            if not is_pose(row):
                 raise ValueError(f"the transform from {parent} to {child} is no rigid motion")
             if fixed:
                 turn = np.eye(4)
@@ -89,7 +90,8 @@ class FrameTree:
     def _track(self, child: str) -> PoseTrack:
         if child not in self._tracks:
             rows = np.array(self._rows[child])
-            self._tracks[child] = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")])
+            rows = rows[np.argsort(rows[:, 0], kind="stable")]
+            self._tracks[child] = PoseTrack(rows, self._max_gap_s)
         return self._tracks[child]
 
 

@@ -49,16 +49,23 @@ def sonar_shape(kind: str, fields: set[str] | None) -> str | None:
 class PingDecoder:
     """Messages of one sonar as pings; a fan that comes again is not computed again."""
 
-    def __init__(self, shape: str, mount: Float64 | None, device: SonarDevice | None) -> None:
+    def __init__(
+        self,
+        shape: str,
+        mount: Float64 | None,
+        device: SonarDevice | None,
+        full_scale: float | None = None,
+    ) -> None:
         """For messages of a shape.
 
         Args:
             shape: A name that `sonar_shape` gives.
             mount: ``body_from_frame`` (4, 4) of the message's frame, where TF tells it.
             device: Tells the mount and the height of the beams where nothing else does.
+            full_scale: Of its pixels, if that is not their type's.
         """
         self.elevation_assumed = False
-        self._shape, self._device = shape, device
+        self._shape, self._device, self._full_scale = shape, device, full_scale
         self._mount = Pose(0.0, 0.0, 0.0) if device is None else device.geometry.mount
         if mount is not None:
             turned = mount @ IMAGE_FROM_SONAR if shape == "ProjectedSonarImage" else mount
@@ -72,7 +79,7 @@ class PingDecoder:
             ValueError: What it says of itself does not fit together.
         """
         pixels, fan = getattr(self, f"_{self._shape}")(message)
-        return Ping(fan.image(pixels), fan.geometry, time_s)
+        return Ping(fan.image(pixels, self._full_scale), fan.geometry, time_s)
 
     def pixels(self, message: Any) -> Array:
         """The image of a message, (bins, beams), as it lies in it, scaled by nothing.

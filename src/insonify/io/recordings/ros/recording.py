@@ -11,8 +11,8 @@ import numpy as np
 
 from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform
-from insonify.io.recordings.beams import unit_pixels
-from insonify.io.recordings.poses import PoseTrack
+from insonify.io.recordings.beams import PixelError, unit_pixels
+from insonify.io.recordings.poses import PoseTrack, is_pose
 from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import FrameTree, pose_row, stamp_ns
@@ -39,6 +39,7 @@ class _Index:
         tree: TF.
         frames: The frame of each topic of pings.
         undecoded: How many messages could not be decoded.
+        no_poses: How many messages of a topic of poses hold none.
     """
 
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -49,6 +50,7 @@ class _Index:
     tree: FrameTree = field(default_factory=FrameTree)
     frames: dict[str, str] = field(default_factory=dict)
     undecoded: int = 0
+    no_poses: dict[str, int] = field(default_factory=dict)
 
 
 def read_bag(bag: Bag, reading: Reading) -> Recording:
@@ -57,7 +59,7 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
     Raises:
         RecordingError: There are no pings in it that can be read, or not on the topic asked for.
     """
-    index = _index(bag)
+    index = _index(bag, reading.max_gap_s)
     if bag.cut and index.sonars:
         warnings.warn(
             f"{bag.path}: damaged or cut off ({bag.cut}); what lies before is read",
@@ -67,13 +69,15 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
     topic = _sonar_topic(bag, index, reading)
     poses = _poses(bag, index, topic, reading)
     count = sum(n for (name, _), n in index.counts.items() if name == topic)
-    decoder = PingDecoder(index.sonars[topic], poses.mount, reading.device)
+    decoder = PingDecoder(index.sonars[topic], poses.mount, reading.device, reading.full_scale)
 
     def read() -> Iterator[PosedPing]:
         broken, why = 0, ""
         for message in bag.read({topic}):
             try:
                 yield _recorded(message, decoder, index, poses, reading)
+            except PixelError:
+                raise  # it is the user's to say what they mean
             except DAMAGE as err:
                 broken, why = broken + 1, reason(err)
         if broken:
@@ -91,6 +95,8 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
         "poses": poses.source,
         "elevation_assumed": _assumes(bag, topic, decoder),
     }
+    if poses.track is not None:
+        facts["max_gap_s"] = poses.track.max_gap_s
     return Recording(bag.path, bag.format, count, True, facts, read)
 
 
@@ -129,7 +135,7 @@ def _recorded(
         pixels = decoder.pixels(decoded)
         if pixels.shape != (geometry.bins, geometry.beams):
             raise ValueError(f"a state of {geometry.bins} x {geometry.beams} pixels is not its own")
-        image = unit_pixels(pixels)
+        image = unit_pixels(pixels, reading.full_scale)
         pose, truth = (Pose(*map(float, six)) for six in (state.pose, state.truth))
         return PosedPing(Ping(image, geometry, time_s), pose, truth)
     ping = decoder.ping(decoded, time_s)
@@ -142,8 +148,8 @@ def _recorded(
     return PosedPing(ping)
 
 
-def _index(bag: Bag) -> _Index:
-    index = _Index()
+def _index(bag: Bag, max_gap_s: float | None) -> _Index:
+    index = _Index(tree=FrameTree(max_gap_s))
     plain: set[str] = set()
     for message in bag.read(None):
         key = (message.topic, message.kind)
@@ -179,6 +185,9 @@ def _note_pose(index: _Index, message: BagMessage, decoded: Any) -> None:
         pose = pose.pose
     time_s = (stamp_ns(decoded.header) or message.time_ns) * 1e-9
     row = [float(number) for number in (time_s, *pose_row(pose))]
+    if not is_pose(row):
+        index.no_poses[message.topic] = index.no_poses.get(message.topic, 0) + 1
+        return
     index.tracks.setdefault(message.topic, []).append(row)
     index.posed[message.topic] = str(getattr(decoded, "child_frame_id", ""))
 
@@ -210,9 +219,16 @@ def _poses(bag: Bag, index: _Index, sonar: str, reading: Reading) -> _Poses:
     if topic is not None:
         rows = np.array(index.tracks[topic])
         try:
-            track = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")])
+            track = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")], reading.max_gap_s)
         except ValueError as err:
             raise RecordingError(f"{bag.path}: {topic}: {err}") from err
+        if topic in index.no_poses:
+            warnings.warn(
+                f"{bag.path}: {index.no_poses[topic]} messages of {topic} hold no pose (a number "
+                "is not finite, or a quaternion has no length) and are left out",
+                RecordingWarning,
+                stacklevel=3,
+            )
         base = index.posed[topic] or "base_link"
         mount = index.tree.in_frame(frame, base) if frame else None
         return _Poses(f"{len(track)} on {topic}", mount, _mount_source(mount, reading), track)
