@@ -69,12 +69,18 @@ class BagMaker:
         return self.new("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
     def projected(
-        self, time_s: float, image: Array, azimuths: Array, ranges: Array, elevation: float
+        self,
+        time_s: float,
+        image: Array,
+        azimuths: Array,
+        ranges: Array,
+        elevation: float,
+        frame: str = "sonar",
     ) -> Any:
         """An image (bins, beams) of uint8 or uint16, in the order of the azimuths given."""
         return self.new(
             "marine_acoustic_msgs/ProjectedSonarImage",
-            header=self.header(time_s, "sonar"),
+            header=self.header(time_s, frame),
             ping_info=self.new(
                 "marine_acoustic_msgs/PingInfo", frequency=1e6, sound_speed=1500.0,
                 tx_beamwidths=np.full(len(azimuths), elevation, np.float32),
@@ -89,7 +95,17 @@ class BagMaker:
             ),
         )  # fmt: skip
 
-    def odometry(self, time_s: float, position: Array, quaternion: Array) -> Any:
+    def posed(self, time_s: float, position: Array) -> Any:
+        """A level PoseStamped."""
+        x, y, z = position.tolist()
+        point = self.new("geometry_msgs/Point", x=x, y=y, z=z)
+        level = self.turn(np.array([0.0, 0.0, 0.0, 1.0]))
+        pose = self.new("geometry_msgs/Pose", position=point, orientation=level)
+        return self.new("geometry_msgs/PoseStamped", header=self.header(time_s, "map"), pose=pose)
+
+    def odometry(
+        self, time_s: float, position: Array, quaternion: Array, child: str = "base_link"
+    ) -> Any:
         x, y, z = position.tolist()
         point = self.new("geometry_msgs/Point", x=x, y=y, z=z)
         pose = self.new("geometry_msgs/Pose", position=point,
@@ -99,7 +115,7 @@ class BagMaker:
         return self.new(
             "nav_msgs/Odometry",
             header=self.header(time_s, "odom"),
-            child_frame_id="base_link",
+            child_frame_id=child,
             pose=self.new("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
             twist=self.new("geometry_msgs/TwistWithCovariance", twist=zero,
                            covariance=np.zeros(36)),

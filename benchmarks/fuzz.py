@@ -162,7 +162,8 @@ def _bare_mcap(folder: Path, rng: np.random.Generator) -> Path:
             ping = maker.projected(1.0 + number, image, azimuths, ranges, 0.2)
             level = np.array([0.0, 0.0, 0.0, 1.0])
             pose = maker.odometry(1.0 + number, np.zeros(3), level)
-            for topic, message in (("/sonar", ping), ("/odom", pose)):
+            mount = maker.link(1.0, "base_link", "sonar", np.zeros(3), np.full(4, 0.5))
+            for topic, message in (("/tf_static", mount), ("/sonar", ping), ("/odom", pose)):
                 kind = message.__msgtype__
                 if topic not in channels:
                     text, _ = store.generate_msgdef(kind, ros_version=2)

@@ -155,7 +155,6 @@ def map_(
     from insonify.results.map import save_remap
 
     full = map_config(voxel, absolute(mapper), settings, config)
-    box = box_from_text(region) if region is not None else None
     reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
@@ -164,7 +163,7 @@ def map_(
             remap = map_recordings(
                 recordings,
                 full.mapping,
-                box,
+                box_from_text(region) if region is not None else None,
                 mapper=make_mapper(full.mapper, full.mapping, full.mapper_options),
                 watch=watch,
                 should_stop=interrupted,

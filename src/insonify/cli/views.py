@@ -39,16 +39,16 @@ def view(
     path: Annotated[
         Path, typer.Argument(metavar="RUN|MAP|RECORDING", help="Result folder, map or recording.")
     ],
+    settings: SetOption = None,
     sonar: SonarOption = None,
-    voxel: VoxelOption = None,
     region: RegionOption = None,
+    voxel: VoxelOption = None,
     poses: PosesOption = None,
     clock_offset: OffsetOption = 0.0,
     sonar_topic: SonarTopicOption = None,
     pose_topic: PoseTopicOption = None,
     max_gap: GapOption = None,
     scale: ScaleOption = None,
-    settings: SetOption = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
     as_json: JsonOption = False,

@@ -6,7 +6,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -167,6 +167,7 @@ def _map_one(
             "format": recording.format,
             "pings": pings,
             "mapped": mapped,
+            "doubts": list(recording.facts.get("doubts", ())),
         }
     )
 
@@ -210,7 +211,7 @@ def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
     """Refuse what would not fit, before the next ping is mapped."""
     voxels, voxel_m = remap.mapper.voxels, remap.settings.voxel_m
     needed = float(voxels.block_count * BYTES_PER_BLOCK * _GROWTH)
-    if geometry not in remap.fans:
+    if all(replace(fan, mount=geometry.mount) != geometry for fan in remap.fans):
         remap.fans.append(geometry)
         far, half = geometry.range_max_m, geometry.elevation_fov_rad / 2
         volume = geometry.azimuth_fov_rad * 2 * math.sin(half) * far**3 / 3

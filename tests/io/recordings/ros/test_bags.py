@@ -19,6 +19,8 @@ from insonify.frames import transform_from_pose
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.ros.messages import IMAGE_FROM_SONAR
+from insonify.mapping.mapper import MappingSettings
+from insonify.mission.remap import map_recordings
 from insonify.sonar.devices import SonarDevice
 from insonify.types import Pose
 
@@ -27,12 +29,132 @@ AZIMUTHS = np.radians([12.0, 4.0, -4.0, -12.0])
 RANGES = 1.0 + 0.1 * np.arange(6)
 
 
-def _mounted(maker: BagMaker, mount: Pose) -> tuple[str, float, Any]:
+def _mounted(
+    maker: BagMaker, mount: Pose, topic: str = "/tf_static", time_s: float = 0.0,
+    base: str = "base_link", frame: str = "sonar",
+) -> tuple[str, float, Any]:  # fmt: skip
     """TF of the sonar's frame (z forward, x up) for a mount of ours."""
     transform = transform_from_pose(mount) @ IMAGE_FROM_SONAR
     quaternion = Rotation.from_matrix(transform[:3, :3]).as_quat()
-    link = maker.link(0.0, "base_link", "sonar", transform[:3, 3], quaternion)
-    return ("/tf_static", 0.0, link)
+    link = maker.link(time_s, base, frame, transform[:3, 3], quaternion)
+    return (topic, time_s, link)
+
+
+def _spotted(maker: BagMaker, frame: str = "sonar", topic: str = "/s") -> list[Any]:
+    """Ten pings at t + 0.5 s that show a spot 5 m straight ahead, and a vehicle at rest."""
+    azimuths, ranges = np.radians(np.linspace(29.5, -29.5, 60)), 0.05 + 0.1 * np.arange(100)
+    image = np.zeros((100, 60), np.uint8)
+    image[48:51, 29:32] = 255
+    return [
+        (topic, k + 0.5, maker.projected(k + 0.5, image, azimuths, ranges, 0.2, frame))
+        for k in range(10)
+    ]
+
+
+def _resting(maker: BagMaker, topic: str, place: Any, child: str = "base_link") -> list[Any]:
+    return [
+        (topic, float(k), maker.odometry(float(k), np.array(place), LEVEL, child))
+        for k in range(11)
+    ]
+
+
+def _spot_m(path: Path, reading: Reading = Reading()) -> list[float]:
+    """Where the spot lands in the map."""
+    remap = map_recordings([open_recording(path, reading)], MappingSettings())
+    middle = remap.mapper.voxels.occupied_m().mean(axis=0)
+    return [float(c) for c in middle]
+
+
+def _bag(maker: BagMaker, path: Path, messages: list[Any]) -> Path:
+    return maker.write(path, sorted(messages, key=lambda message: message[1]))
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+@pytest.mark.parametrize("child", ["base_link", "bluerov2/base_link"])
+def test_a_mount_that_tf_tells_again_and_again(tmp_path: Path, kind: str, child: str) -> None:
+    maker = BagMaker(kind)
+    aside = Pose(0.0, 0.0, 0.0, 0.0, 0.0, math.pi / 2)
+    messages = _spotted(maker) + _resting(maker, "/odom", [0.0, 0.0, -5.0], child)
+    messages += [_mounted(maker, aside, "/tf", 0.5 * k) for k in range(21)]
+    path = _bag(maker, tmp_path / "b", messages)
+    assert _spot_m(path) == pytest.approx([0.0, 5.0, -5.0], abs=0.1)
+    facts = open_recording(path).facts
+    assert facts["poses"] == f"11 on /odom, whose frame {child} carries the sonar"
+    assert facts["mount"] == "TF, moving" and "doubts" not in facts
+
+
+def test_a_head_that_pans_is_where_it_is_at_each_ping(tmp_path: Path) -> None:
+    maker = BagMaker("mcap")
+    messages = _spotted(maker) + _resting(maker, "/odom", [0.0, 0.0, -5.0])
+    for k in range(11):
+        head = Pose(0.2, 0.0, 0.0, 0.0, 0.0, math.radians(9.0 * k))
+        messages.append(_mounted(maker, head, "/tf", float(k)))
+    recording = open_recording(_bag(maker, tmp_path / "b", messages))
+    yaws = [math.degrees(recorded.ping.geometry.mount.yaw_rad) for recorded in recording]
+    assert yaws == pytest.approx([9.0 * k + 4.5 for k in range(10)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("base", "words"),
+    [("camera_rig", "TF does not join its frame 'sonar' to the vehicle's 'base_link'"),
+     ("", "its frame 'sonar' is not in TF")],
+)  # fmt: skip
+def test_a_mount_that_is_not_known_is_told(tmp_path: Path, base: str, words: str) -> None:
+    maker = BagMaker("mcap")
+    messages = _spotted(maker) + _resting(maker, "/odom", [0.0, 0.0, -5.0])
+    if base:
+        messages.append(_mounted(maker, Pose(0.0, 0.0, 0.0), base=base))
+    path = _bag(maker, tmp_path / "b", messages)
+    with pytest.warns(RecordingWarning, match=words):
+        recording = open_recording(path)
+    result = map_recordings([recording], MappingSettings()).result().to_json()
+    (told,) = result["recordings"][0]["doubts"]
+    assert words in told
+    device = SonarDevice(tilt_deg=0.0)
+    assert "doubts" not in open_recording(path, Reading(device)).facts
+
+
+def _tf(maker: BagMaker, x: float) -> list[Any]:
+    place = np.array([x, 0.0, -5.0])
+    return [
+        ("/tf", float(k), maker.link(float(k), "odom", "base_link", place, LEVEL))
+        for k in range(11)
+    ]
+
+
+def test_the_poses_are_those_of_the_vehicle_that_carries_the_sonar(tmp_path: Path) -> None:
+    maker = BagMaker("mcap")
+    goals = [("/goal_pose", float(k), maker.posed(float(k), np.zeros(3))) for k in range(11)]
+    ahead = _mounted(maker, Pose(0.0, 0.0, 0.0))
+    path = _bag(maker, tmp_path / "goal", [*_spotted(maker), *goals, ahead, *_tf(maker, 1.0)])
+    assert _spot_m(path) == pytest.approx([6.0, 0.0, -5.0], abs=0.1)
+    assert open_recording(path).facts["poses"] == "TF of base_link, up to odom"
+    two = _resting(maker, "/auv1/odom", [50.0, 0.0, -5.0], "auv1/base_link")
+    two += _resting(maker, "/auv2/odom", [2.0, 0.0, -5.0], "auv2/base_link")
+    seen = _spotted(maker, "auv2/sonar", "/auv2/sonar/image")
+    link = _mounted(maker, Pose(0.0, 0.0, 0.0), base="auv2/base_link", frame="auv2/sonar")
+    path = _bag(maker, tmp_path / "two", [*seen, *two, link])
+    assert _spot_m(path) == pytest.approx([7.0, 0.0, -5.0], abs=0.1)
+    mavros = _resting(maker, "/mavros/global_position/local", [90.0, 0.0, -5.0])
+    mavros += _resting(maker, "/mavros/local_position/odom", [3.0, 0.0, -5.0])
+    path = _bag(maker, tmp_path / "mavros", [*_spotted(maker), *mavros, ahead])
+    assert _spot_m(path) == pytest.approx([8.0, 0.0, -5.0], abs=0.1)
+    assert _spot_m(path, Reading(pose_topic="/mavros/global_position/local")) == pytest.approx(
+        [95.0, 0.0, -5.0], abs=0.1
+    )
+
+
+def test_where_several_topics_could_be_meant_the_user_says_which(tmp_path: Path) -> None:
+    maker = BagMaker("mcap")
+    several = _resting(maker, "/filter/a", [0.0, 0.0, -5.0])
+    several += _resting(maker, "/filter/b", [1.0, 0.0, -5.0])
+    ahead = _mounted(maker, Pose(0.0, 0.0, 0.0))
+    path = _bag(maker, tmp_path / "b", [*_spotted(maker), *several, ahead])
+    with pytest.raises(RecordingError, match=r"--pose-topic\): /filter/a, /filter/b"):
+        open_recording(path)
+    assert _spot_m(path, Reading(pose_topic="/filter/b")) == pytest.approx(
+        [6.0, 0.0, -5.0], abs=0.1
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -187,7 +309,7 @@ def test_a_bag_cut_off_is_read_up_to_there_or_refused(
 def test_a_message_without_a_pose_leaves_itself_out(tmp_path: Path, kind: str) -> None:
     maker = BagMaker(kind)
     image = np.zeros((6, 4), np.uint8)
-    messages = []
+    messages = [_mounted(maker, Pose(0.0, 0.0, 0.0))]
     for k in range(11):
         turn = np.zeros(4) if k == 3 else LEVEL
         place = np.array([np.nan if k == 7 else 0.5 * k, 0.0, -5.0])

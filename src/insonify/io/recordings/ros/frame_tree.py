@@ -57,10 +57,78 @@ class FrameTree:
             frame = parent
         return frame, transform
 
+    def knows(self, frame: str) -> bool:
+        """Whether a frame is in the tree, by its name or that within its vehicle's."""
+        return self._known(frame) is not None
+
+    def carries(self, base: str, frame: str) -> bool:
+        """Whether a frame hangs from another, or is fixed to it."""
+        known = self._known(base)
+        return known in self._way_up(frame) or self.in_frame(frame, base) is not None
+
+    def joins(self, frame: str, base: str) -> bool:
+        """Whether there is a way from a frame to another."""
+        return bool(set(self._way_up(frame)) & set(self._way_up(base)))
+
+    def root_of(self, frame: str) -> str | None:
+        """The root of a frame that moves in it; None if it does not, or is not in the tree."""
+        way = self._way_up(frame)
+        moves = any(one in self._rows for one in way)
+        return way[-1] if moves else None
+
+    def between(self, base: str, frame: str, time_s: float) -> Float64 | None:
+        """``base_from_frame`` (4, 4) at a time; None if a link on the way says nothing of it."""
+        ways = self._way_up(base), self._way_up(frame)
+        common = next((one for one in ways[1] if one in ways[0]), None)
+        if common is None:
+            return None
+        up = [self._up(way[: way.index(common)], time_s) for way in ways]
+        if up[0] is None or up[1] is None:
+            return None
+        return np.asarray(np.linalg.inv(up[0]) @ up[1], np.float64)
+
+    def _up(self, way: list[str], time_s: float) -> Float64 | None:
+        """Along links, from the first frame of a way to above its last."""
+        transform = np.eye(4)
+        for frame in way:
+            if frame not in self._rows:
+                link = self._fixed[frame][1]
+            else:
+                track = self._track(frame)
+                pose = track.sample(0) if len(track) == 1 else track.at(time_s)
+                if pose is None:
+                    return None
+                link = transform_from_pose(pose)
+            transform = link @ transform
+        return transform
+
+    def _way_up(self, frame: str) -> list[str]:
+        """A frame, what it hangs from, and so on; nothing if it is not in the tree."""
+        known = self._known(frame)
+        way = [] if known is None else [known]
+        while way and len(way) < _DEEPEST:
+            above = self._parents.get(way[-1]) or self._fixed.get(way[-1], ("",))[0]
+            if not above:
+                break
+            way.append(above)
+        return way
+
+    def _known(self, frame: str) -> str | None:
+        """A frame as the tree calls it: one of the two names may lack the vehicle's before it."""
+        frame = _plain(frame)
+        names = {*self._parents, *self._fixed, *self._parents.values()}
+        names |= {parent for parent, _ in self._fixed.values()}
+        if not frame or frame in names:
+            return frame or None
+        alike = [one for one in names if one.endswith(f"/{frame}") or frame.endswith(f"/{one}")]
+        return alike[0] if len(alike) == 1 else None
+
     def in_frame(self, frame: str, base: str) -> Float64 | None:
         """``base_from_frame`` (4, 4) along fixed links alone; None if there is no such way."""
-        top, top_from_frame = self.fixed_above(frame)
-        other, top_from_base = self.fixed_above(base)
+        if _plain(frame) == _plain(base):
+            return np.eye(4)
+        top, top_from_frame = self.fixed_above(self._known(frame) or frame)
+        other, top_from_base = self.fixed_above(self._known(base) or base)
         if top != other:
             return None
         return np.asarray(np.linalg.inv(top_from_base) @ top_from_frame, np.float64)

@@ -67,10 +67,18 @@ class PingDecoder:
         self.elevation_assumed = False
         self._shape, self._device, self._full_scale = shape, device, full_scale
         self._mount = Pose(0.0, 0.0, 0.0) if device is None else device.geometry.mount
-        if mount is not None:
-            turned = mount @ IMAGE_FROM_SONAR if shape == "ProjectedSonarImage" else mount
-            self._mount = pose_from_transform(turned)
         self._fans: dict[Any, EvenFan] = {}
+        self.sit(mount)
+
+    def sit(self, mount: Float64 | None) -> None:
+        """From now on the sonar's frame is there on the body, if that is known."""
+        if mount is None:
+            return
+        turned = mount @ IMAGE_FROM_SONAR if self._shape == "ProjectedSonarImage" else mount
+        pose = pose_from_transform(turned)
+        if pose != self._mount:
+            self._mount = pose
+            self._fans.clear()
 
     def ping(self, message: Any, time_s: float) -> Ping:
         """A message as a ping.

@@ -1,0 +1,88 @@
+"""What is in a bag besides its pictures: topics, poses, TF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from insonify.io.recordings.poses import is_pose
+from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
+from insonify.io.recordings.ros.frame_tree import FrameTree, pose_row, stamp_ns
+from insonify.io.recordings.ros.pings import sonar_shape
+
+STATE = "insonify_msgs/msg/PingState"
+TF = "tfmessage"
+"""In lower case; ROS 1 had two spellings."""
+KINDS = ("Odometry", "PoseWithCovarianceStamped", "PoseStamped")
+"""Kinds of messages that tell where the vehicle is, the first found is used."""
+
+
+@dataclass(slots=True, eq=False)
+class Index:
+    """All of a bag but its pictures.
+
+    Attributes:
+        counts: Messages of each topic and its type.
+        sonars: Topics of pings and what they are.
+        tracks: Rows of time and pose of each topic of poses, and the frame that is posed.
+        states: PingStates by stamp.
+        tree: TF.
+        frames: The frame of each topic of pings.
+        undecoded: How many messages could not be decoded.
+        no_poses: How many messages of a topic of poses hold none.
+    """
+
+    counts: dict[tuple[str, str], int] = field(default_factory=dict)
+    sonars: dict[str, str] = field(default_factory=dict)
+    tracks: dict[str, list[list[float]]] = field(default_factory=dict)
+    posed: dict[str, str] = field(default_factory=dict)
+    states: dict[int, Any] = field(default_factory=dict)
+    tree: FrameTree = field(default_factory=FrameTree)
+    frames: dict[str, str] = field(default_factory=dict)
+    undecoded: int = 0
+    no_poses: dict[str, int] = field(default_factory=dict)
+
+
+def index_of(bag: Bag, max_gap_s: float | None) -> Index:
+    """Read all of a bag but its pictures."""
+    index = Index(tree=FrameTree(max_gap_s))
+    plain: set[str] = set()
+    for message in bag.read(None):
+        key = (message.topic, message.kind)
+        index.counts[key] = index.counts.get(key, 0) + 1
+        if message.topic in plain or message.topic in index.sonars:
+            continue
+        name = message.kind.rsplit("/", 1)[-1]
+        try:
+            if name.lower() == TF:
+                index.tree.add(message.decode(), "static" in message.topic)
+            elif name in KINDS:
+                _note_pose(index, message, message.decode())
+            elif message.kind == STATE:
+                state = message.decode()
+                index.states[stamp_ns(state.header)] = state
+            else:
+                decoded = message.decode()
+                shape = sonar_shape(message.kind, set(getattr(decoded, "__slots__", ()))
+                                    or set(vars(decoded)))  # fmt: skip
+                if shape is None:
+                    plain.add(message.topic)
+                else:
+                    index.sonars[message.topic] = shape
+                    index.frames[message.topic] = str(decoded.header.frame_id)
+        except DAMAGE:
+            index.undecoded += 1
+    return index
+
+
+def _note_pose(index: Index, message: BagMessage, decoded: Any) -> None:
+    pose = decoded.pose
+    while hasattr(pose, "pose"):
+        pose = pose.pose
+    time_s = (stamp_ns(decoded.header) or message.time_ns) * 1e-9
+    row = [float(number) for number in (time_s, *pose_row(pose))]
+    if not is_pose(row):
+        index.no_poses[message.topic] = index.no_poses.get(message.topic, 0) + 1
+        return
+    index.tracks.setdefault(message.topic, []).append(row)
+    index.posed[message.topic] = str(getattr(decoded, "child_frame_id", ""))

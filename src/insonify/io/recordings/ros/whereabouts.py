@@ -1,0 +1,166 @@
+"""Where a bag's sonar was: which of its poses are the vehicle's, and where the sonar sits on it.
+
+Of topics of odometry it is the one whose frame carries the sonar's; else TF, if the sonar's frame
+moves in a world; else the only odometry, pose with covariance or pose.  Where several remain, the
+user says which.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from insonify.errors import RecordingError
+from insonify.io.recordings.poses import PoseTrack
+from insonify.io.recordings.recording import Reading
+from insonify.io.recordings.ros.bags import Bag
+from insonify.io.recordings.ros.index import KINDS, Index
+from insonify.types import Float64
+
+_WANTED = ("goal", "target", "setpoint", "desired", "reference", "cmd")
+"""In topics that tell where a vehicle should be, not where it is."""
+_SECOND_CHOICE = ("truth", "global_position")
+"""In topics that are taken if there is no other."""
+_WORLDS = ("map", "odom", "world", "earth", "utm", "ned", "enu", "origin", "global")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whereabouts:
+    """Where the vehicle was: a track of it, or TF; or as PingState tells it.
+
+    Attributes:
+        source: Which poses are taken, and why.
+        mount_source: What tells where the sonar sits.
+        mount: ``vehicle_from_frame`` (4, 4) of the sonar's frame, if it never changes.
+        track: The vehicle's poses.
+        frame: The frame whose pose TF tells, if there is no track.
+        base: The track's frame, in which the sonar's moves.
+        exact: Whether PingState tells all of it.
+        doubts: What had to be assumed.
+    """
+
+    source: str
+    mount_source: str
+    mount: Float64 | None = None
+    track: PoseTrack | None = None
+    frame: str = ""
+    base: str = ""
+    exact: bool = False
+    doubts: tuple[str, ...] = ()
+
+
+def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereabouts:
+    """Where the sonar of a topic was.
+
+    Raises:
+        RecordingError: Several topics could tell, or one that is asked for cannot.
+    """
+    frame = index.frames.get(sonar, "")
+    if reading.pose_topic is None and reading.clock_offset_s == 0.0 and index.states:
+        source = f"{len(index.states)} states of pings, unrounded"
+        return Whereabouts(source, "states of pings", exact=True)
+    topic, why = _pose_topic(bag, index, sonar, reading)
+    if topic is not None:
+        return _tracked(bag, index, frame, topic, why, reading)
+    if frame and index.tree.moves:
+        body, mount = index.tree.fixed_above(frame)
+        return Whereabouts(f"TF of {body}{why}", "TF", mount, frame=body)
+    return Whereabouts("none", _untold(reading))
+
+
+def _tracked(
+    bag: Bag, index: Index, frame: str, topic: str, why: str, reading: Reading
+) -> Whereabouts:
+    rows = np.array(index.tracks[topic])
+    try:
+        track = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")], reading.max_gap_s)
+    except ValueError as err:
+        raise RecordingError(f"{bag.path}: {topic}: {err}") from err
+    source = f"{len(track)} on {topic}{why}"
+    doubts: tuple[str, ...] = ()
+    if topic in index.no_poses:
+        doubts = (
+            f"{index.no_poses[topic]} messages of {topic} hold no pose (a number is not finite, "
+            "or a quaternion has no length) and are left out",
+        )
+    base = index.posed[topic] or "base_link"
+    mount = index.tree.in_frame(frame, base) if frame else None
+    if mount is not None:
+        return Whereabouts(source, "TF", mount, track, doubts=doubts)
+    if index.tree.joins(frame, base):
+        return Whereabouts(source, "TF, moving", None, track, base=base, doubts=doubts)
+    if reading.device is None:
+        doubts += (_no_mount(index, frame, base),)
+    return Whereabouts(source, _untold(reading), None, track, doubts=doubts)
+
+
+def _untold(reading: Reading) -> str:
+    return "--sonar" if reading.device is not None else "none: taken as the vehicle's own frame"
+
+
+def _no_mount(index: Index, frame: str, base: str) -> str:
+    if not frame:
+        why = "its pings name no frame"
+    elif index.tree.knows(frame):
+        why = f"TF does not join its frame {frame!r} to the vehicle's {base!r}"
+    else:
+        why = f"its frame {frame!r} is not in TF"
+    return (
+        f"where the sonar sits on the vehicle is not known, as {why}; it is taken to sit in the "
+        "vehicle's frame, unturned (--sonar FILE.toml says how it is mounted)"
+    )
+
+
+def _pose_topic(bag: Bag, index: Index, sonar: str, reading: Reading) -> tuple[str | None, str]:
+    """The topic of the vehicle's poses and, for people, why it is that; None is for TF."""
+    wanted = reading.pose_topic
+    if wanted is not None:
+        if wanted not in index.tracks:
+            told = ", ".join(sorted(index.tracks)) or "none"
+            raise RecordingError(f"{bag.path}: no poses on {wanted}; topics of poses: {told}")
+        return wanted, ", as --pose-topic says"
+    frame = index.frames.get(sonar, "")
+    kinds = {name: kind.rsplit("/", 1)[-1] for name, kind in index.counts}
+    known = [
+        topic
+        for topic in sorted(index.tracks)
+        if not any(word in topic.lower() for word in _WANTED)
+        and not _of_another(index.posed[topic], frame)
+    ]
+    odometry = [topic for topic in known if kinds[topic] == KINDS[0]]
+    carrying = [topic for topic in odometry if index.tree.carries(index.posed[topic], frame)]
+    if carrying:
+        topic = _only(bag, carrying, sonar)
+        return topic, f", whose frame {index.posed[topic]} carries the sonar"
+    root = index.tree.root_of(frame)
+    if root is not None and (not odometry or any(word in root for word in _WORLDS)):
+        return None, f", up to {root}"
+    for kind in KINDS:
+        of_kind = [topic for topic in known if kinds[topic] == kind]
+        if of_kind:
+            return _only(bag, of_kind, sonar), f", the only {kind} that may be the vehicle's"
+    return None, ""
+
+
+def _only(bag: Bag, topics: list[str], sonar: str) -> str:
+    """The one of some topics that is left when what is likelier is preferred."""
+    for word in _SECOND_CHOICE:
+        topics = [topic for topic in topics if word not in topic] or topics
+    topics = [topic for topic in topics if _namespace(topic) == _namespace(sonar)] or topics
+    if len(topics) > 1:
+        raise RecordingError(
+            f"{bag.path}: several topics tell poses; say which are the vehicle's (--pose-topic): "
+            f"{', '.join(topics)}"
+        )
+    return topics[0]
+
+
+def _of_another(base: str, frame: str) -> bool:
+    """Whether a frame is plainly that of another vehicle than a sonar's."""
+    one, other = _namespace(base), _namespace(frame)
+    return bool(one and other) and one != other
+
+
+def _namespace(name: str) -> str:
+    return name.removeprefix("/").rpartition("/")[0].partition("/")[0]
