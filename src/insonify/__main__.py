@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ def _stop(signum: int, frame: object) -> None:
 def main() -> None:
     """Run the command line."""
     signal.signal(signal.SIGINT, _stop)
+    gc.set_threshold(50_000)  # what is imported stays, so looking through it often finds nothing
     from insonify.cli import main as run
 
     run()

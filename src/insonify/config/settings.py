@@ -16,7 +16,7 @@ Table = dict[str, Any]
 class Settings(BaseModel):
     """A table of settings: frozen, and unknown keys are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # starts sooner
 
 
 Model = TypeVar("Model", bound=BaseModel)
