@@ -31,6 +31,7 @@ from insonify.cli.root import (
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
+    from insonify.config.settings import Table
     from insonify.io.recordings.recording import Reading, Recording
     from insonify.mission.remap import Remap, Watch
     from insonify.mission.result import MapResult
@@ -192,15 +193,10 @@ def map_config(
     from insonify.config.layers import overlaid
     from insonify.config.settings import validated
     from insonify.mapping.factory import check_mapper
-    from insonify.mission.setup import Config
     from insonify.results.map import MapConfig
 
     known = set(MapConfig.model_fields)
-    others = set(Config.model_fields) - known
-    from_file = [
-        {key: value for key, value in layer.items() if key not in others}
-        for layer in file_layers(config)
-    ]
+    from_file = [_without_a_scans(layer, known) for layer in file_layers(config)]
     chosen = choices(mapper=mapper, mapping=choices(voxel_m=voxel_m) or None)
     single = single_layers(settings)
     for layer in single:
@@ -213,6 +209,14 @@ def map_config(
     full = validated(MapConfig, overlaid([*from_file, chosen, *single]), see=see)
     check_mapper(full.mapper, full.mapper_options)
     return full
+
+
+def _without_a_scans(layer: Table, known: set[str]) -> Table:
+    """A file's settings but those that only a scan has."""
+    from insonify.mission.setup import Config
+
+    others = set(Config.model_fields) - known
+    return {key: value for key, value in layer.items() if key not in others}
 
 
 def box_from_text(text: str) -> Box:

@@ -321,3 +321,18 @@ def test_a_message_without_a_pose_leaves_itself_out(tmp_path: Path, kind: str) -
     poses = [recorded.pose for recorded in pings]
     assert [pose is None for pose in poses] == [False] * 10 + [True]
     assert poses[3] is not None and poses[3].x_m == pytest.approx(1.75)
+
+
+def test_tf_tells_poses_of_the_sonars_own_frame_alone(tmp_path: Path) -> None:
+    """By the vehicle's name or without it; of a frame that is not there it tells none."""
+    maker = BagMaker("mcap")
+    ahead = _mounted(maker, Pose(0.0, 0.0, 0.0))
+    named = _bag(maker, tmp_path / "a", [*_spotted(maker, "auv/sonar"), ahead, *_tf(maker, 1.0)])
+    assert _spot_m(named) == pytest.approx([6.0, 0.0, -5.0], abs=0.1)
+    other = _bag(maker, tmp_path / "b", [*_spotted(maker, "head"), ahead, *_tf(maker, 1.0)])
+    pan = [_mounted(maker, Pose(0.0, 0.0, 0.0), "/tf", float(k)) for k in range(11)]
+    alone = _bag(maker, tmp_path / "c", [*_spotted(maker), *pan])
+    for path in (other, alone):
+        assert open_recording(path).facts["poses"] == "none"
+        with pytest.raises(RecordingError, match="none of its 10 pings has a pose"):
+            map_recordings([open_recording(path)], MappingSettings())

@@ -48,7 +48,7 @@ class FrameTree:
 
     def fixed_above(self, frame: str) -> tuple[str, Float64]:
         """The frame that a frame is fixed to, as high up as it goes, and where it is in it."""
-        frame, transform = _plain(frame), np.eye(4)
+        frame, transform = self._known(frame) or _plain(frame), np.eye(4)
         for _ in range(_DEEPEST):
             if frame not in self._fixed or frame in self._rows:
                 break
@@ -70,11 +70,10 @@ class FrameTree:
         """Whether there is a way from a frame to another."""
         return bool(set(self._way_up(frame)) & set(self._way_up(base)))
 
-    def root_of(self, frame: str) -> str | None:
-        """The root of a frame that moves in it; None if it does not, or is not in the tree."""
+    def root_of(self, frame: str) -> tuple[str, bool]:
+        """The root that a frame hangs from, nothing if from none, and whether it moves in it."""
         way = self._way_up(frame)
-        moves = any(one in self._rows for one in way)
-        return way[-1] if moves else None
+        return (way[-1] if len(way) > 1 else ""), any(one in self._rows for one in way)
 
     def between(self, base: str, frame: str, time_s: float) -> Float64 | None:
         """``base_from_frame`` (4, 4) at a time; None if a link on the way says nothing of it."""
@@ -82,20 +81,23 @@ class FrameTree:
         common = next((one for one in ways[1] if one in ways[0]), None)
         if common is None:
             return None
-        up = [self._up(way[: way.index(common)], time_s) for way in ways]
+        up = [self._up(way[: way.index(common)], time_s, once_holds=True) for way in ways]
         if up[0] is None or up[1] is None:
             return None
         return np.asarray(np.linalg.inv(up[0]) @ up[1], np.float64)
 
-    def _up(self, way: list[str], time_s: float) -> Float64 | None:
-        """Along links, from the first frame of a way to above its last."""
+    def _up(self, way: list[str], time_s: float, *, once_holds: bool = False) -> Float64 | None:
+        """Along links, from the first frame of a way to above its last.
+
+        With ``once_holds`` a link that is told a single time is taken as fixed.
+        """
         transform = np.eye(4)
         for frame in way:
             if frame not in self._rows:
                 link = self._fixed[frame][1]
             else:
                 track = self._track(frame)
-                pose = track.sample(0) if len(track) == 1 else track.at(time_s)
+                pose = track.sample(0) if once_holds and len(track) == 1 else track.at(time_s)
                 if pose is None:
                     return None
                 link = transform_from_pose(pose)
@@ -127,8 +129,8 @@ class FrameTree:
         """``base_from_frame`` (4, 4) along fixed links alone; None if there is no such way."""
         if _plain(frame) == _plain(base):
             return np.eye(4)
-        top, top_from_frame = self.fixed_above(self._known(frame) or frame)
-        other, top_from_base = self.fixed_above(self._known(base) or base)
+        top, top_from_frame = self.fixed_above(frame)
+        other, top_from_base = self.fixed_above(base)
         if top != other:
             return None
         return np.asarray(np.linalg.inv(top_from_base) @ top_from_frame, np.float64)
@@ -140,20 +142,8 @@ class FrameTree:
 
     def in_root(self, frame: str, time_s: float) -> Float64 | None:
         """``root_from_frame`` (4, 4) at a time; None where a link above says nothing of it."""
-        frame, transform = _plain(frame), np.eye(4)
-        for _ in range(_DEEPEST):
-            if frame in self._rows:
-                pose = self._track(frame).at(time_s)
-                if pose is None:
-                    return None
-                transform = transform_from_pose(pose) @ transform
-                frame = self._parents[frame]
-            elif frame in self._fixed:
-                frame, above = self._fixed[frame]
-                transform = above @ transform
-            else:
-                return transform
-        return None
+        way = self._way_up(frame)
+        return self._up(way[:-1], time_s) if 0 < len(way) < _DEEPEST else None
 
     def _track(self, child: str) -> PoseTrack:
         if child not in self._tracks:

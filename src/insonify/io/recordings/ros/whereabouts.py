@@ -63,7 +63,7 @@ def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereab
     topic, why = _pose_topic(bag, index, sonar, reading)
     if topic is not None:
         return _tracked(bag, index, frame, topic, why, reading)
-    if frame and index.tree.moves:
+    if why:
         body, mount = index.tree.fixed_above(frame)
         return Whereabouts(f"TF of {body}{why}", "TF", mount, frame=body)
     return Whereabouts("none", _untold(reading))
@@ -113,7 +113,7 @@ def _no_mount(index: Index, frame: str, base: str) -> str:
 
 
 def _pose_topic(bag: Bag, index: Index, sonar: str, reading: Reading) -> tuple[str | None, str]:
-    """The topic of the vehicle's poses and, for people, why it is that; None is for TF."""
+    """The topic of the vehicle's poses, None for TF, and why; no reason where nothing tells."""
     wanted = reading.pose_topic
     if wanted is not None:
         if wanted not in index.tracks:
@@ -133,8 +133,9 @@ def _pose_topic(bag: Bag, index: Index, sonar: str, reading: Reading) -> tuple[s
     if carrying:
         topic = _only(bag, carrying, sonar)
         return topic, f", whose frame {index.posed[topic]} carries the sonar"
-    root = index.tree.root_of(frame)
-    if root is not None and (not odometry or any(word in root for word in _WORLDS)):
+    root, moves = index.tree.root_of(frame)
+    world = any(word in root for word in _WORLDS)
+    if root and index.tree.moves and (world or (moves and "base" not in root and not odometry)):
         return None, f", up to {root}"
     for kind in KINDS:
         of_kind = [topic for topic in known if kinds[topic] == kind]
