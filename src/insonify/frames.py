@@ -56,6 +56,19 @@ def compose(outer: Pose, inner: Pose) -> Pose:
     return pose_from_transform(transform_from_pose(outer) @ transform_from_pose(inner))
 
 
+FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Forward, left, up from forward, starboard, down; its own inverse."""
+ENU_FROM_NED = np.array(
+    [[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""East, north, up from north, east, down; its own inverse."""
+
+
+def enu_from_ned(pose: Pose) -> Pose:
+    """A pose given in north, east, down of a body with axes forward, starboard, down, in ours."""
+    return pose_from_transform(ENU_FROM_NED @ transform_from_pose(pose) @ FLU_FROM_FRD)
+
+
 def world_from_sonar(pose: Pose, mount: Pose) -> Float64:
     """``world_from_body @ body_from_sonar``, (4, 4), of a sonar mounted on a body."""
     return transform_from_pose(pose) @ transform_from_pose(mount)

@@ -25,6 +25,8 @@ from insonify.report.map_html import write_map_report
 from insonify.results.map import load_mapper
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing, ScanPath
 
+STARBOARD_FIRST = Reading(beams="starboard-to-port")
+
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "recordings"
 FAN = FanGeometry(math.radians(40.0), math.radians(10.0), 8, 16, 0.2, 2.0)
 
@@ -109,7 +111,7 @@ def test_the_turtle_stands_out() -> None:
     if not path.is_file():
         pytest.skip(f"{path} is not there")
     settings = MappingSettings(voxel_m=0.02, pixel_threshold=12)
-    replay = map_recordings([open_recording(path)], settings)
+    replay = map_recordings([open_recording(path, STARBOARD_FIRST)], settings)
     window = replay.mapper.voxels.window(replay.region)
     outline = np.asarray(window.occupied.any(axis=1))
     x, z = (np.unique(index) * 0.02 for index in np.nonzero(outline))
@@ -155,7 +157,8 @@ def _spot(dtype: str, loudest: float, path: Path) -> Path:
     images[:, 49:52, 29:32] = loudest
     np.savez(
         path, images=images.astype(dtype), range_min_m=0.1, range_max_m=10.0, azimuth_deg=60.0,
-        elevation_deg=20.0, pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (10, 1)),
+        elevation_deg=20.0, columns="port_to_starboard",
+        pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (10, 1)),
     )  # fmt: skip
     return path
 
@@ -177,8 +180,50 @@ def test_the_full_scale_of_pixels_is_asked_for(dtype: str, loudest: float, tmp_p
     if dtype == "uint8":
         assert occupied(path, None) == right
     elif dtype == "uint16":
-        with pytest.warns(RecordingWarning, match=r"the brightest pixel is 15.9 of 255.*--scale"):
-            occupied(path, None)
+        with pytest.warns(RecordingWarning, match=r"go up to 4095 only, so .* 12 bits.*--scale"):
+            assert occupied(path, None) == right
     else:
         with pytest.raises(RecordingError, match=rf"s\.npz.*up to {loudest}, above.*--scale"):
             occupied(path, None)
+
+
+@pytest.mark.parametrize("kind", ["int8", "int16", "uint32", "int64"])
+def test_whole_pixels_of_any_type(kind: str, tmp_path: Path) -> None:
+    remap = map_recordings(
+        [open_recording(_spot("uint8", 255, tmp_path / "a.npz"))], MappingSettings()
+    )
+    loudest = int(np.iinfo(kind).max) if kind in {"int8", "int16"} else (1 << 24) - 1
+    path = _spot(kind, loudest, tmp_path / "b.npz")
+    recording = open_recording(path)
+    assert ("24 bits" in str(recording.facts["doubts"])) == (kind in {"uint32", "int64"})
+    reading = Reading(full_scale=float(loudest))
+    same = map_recordings([open_recording(path, reading)], MappingSettings())
+    assert same.result().occupied_voxels == remap.result().occupied_voxels > 20
+
+
+@pytest.mark.filterwarnings("ignore::insonify.io.recordings.recording.RecordingWarning")
+def test_what_the_user_says_of_an_archive_overrules_it(tmp_path: Path) -> None:
+    """Columns, mount and the axes of poses."""
+    images = np.zeros((3, 100, 60), np.uint8)
+    images[:, 49:52, 4:7] = 255  # a tenth of the fan in
+    path = tmp_path / "a.npz"
+    np.savez(
+        path, images=images, range_min_m=0.0, range_max_m=10.0, azimuth_deg=60.0,
+        elevation_deg=2.0, columns="port_to_starboard",
+        pose_body=np.tile([1.0, 2.0, 5.0, 0.0, 0.0, 0.0], (3, 1)),
+    )  # fmt: skip
+
+    def spot(**said: object) -> list[float]:
+        remap = map_recordings([open_recording(path, Reading(**said))], MappingSettings())  # type: ignore[arg-type]
+        return [float(c) for c in remap.mapper.voxels.occupied_m().mean(axis=0)]
+
+    side, ahead = 5.05 * math.sin(math.radians(24.5)), 5.05 * math.cos(math.radians(24.5))
+    with pytest.warns(RecordingWarning, match="5 to 5 m above 0"):
+        assert spot() == pytest.approx([1.0 + ahead, 2.0 + side, 5.0], abs=0.15)
+    with pytest.warns(RecordingWarning, match="above the water"):
+        right = spot(beams="starboard-to-port")
+    assert right == pytest.approx([1.0 + ahead, 2.0 - side, 5.0], abs=0.15)
+    # north 1, east 2, 5 m deep, looking north
+    assert spot(convention="ned") == pytest.approx([2.0 - side, 1.0 + ahead, -5.0], abs=0.15)
+    over = Pose(0.0, 0.0, -10.0, math.pi, 0.0, 0.0)
+    assert spot(mount=over) == pytest.approx([1.0 + ahead, 2.0 - side, -5.0], abs=0.15)

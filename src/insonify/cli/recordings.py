@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,6 +28,7 @@ from insonify.cli.root import (
     print_report,
     single_layers,
 )
+from insonify.cli.words import summary_rows
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from insonify.mission.remap import Remap, Watch
     from insonify.mission.result import MapResult
     from insonify.results.map import MapConfig
-    from insonify.types import Box, PosedPing
+    from insonify.types import Box, Pose, PosedPing
 
 SonarOption = Annotated[
     str | None,
@@ -80,6 +81,32 @@ PoseTopicOption = Annotated[
     str | None, typer.Option("--pose-topic", metavar="TOPIC", help="Of a bag: the poses.")
 ]
 
+MountOption = Annotated[
+    str | None,
+    typer.Option(
+        "--mount",
+        metavar="'X Y Z ROLL PITCH YAW'",
+        help="The sonar on the vehicle: metres forward, to port, up; degrees, a positive pitch "
+        "looks down, a positive yaw to port. Overrules the recording.",
+    ),
+]
+BeamsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--beams",
+        metavar="port-to-starboard|starboard-to-port|auto",
+        help="Which way the columns run; auto: as the recording says, or as is assumed.",
+    ),
+]
+ConventionOption = Annotated[
+    str | None,
+    typer.Option(
+        "--convention",
+        metavar="enu|ned",
+        help="Axes of the poses; by default as their frames are named, else east, north, up.",
+    ),
+]
+
 VoxelOption = Annotated[
     float | None,
     typer.Option(metavar="M", help="Edge length of a voxel; 0.1 by default.", show_default=False),
@@ -106,13 +133,19 @@ def info(
     pose_topic: PoseTopicOption = None,
     max_gap: GapOption = None,
     scale: ScaleOption = None,
+    mount: MountOption = None,
+    beams: BeamsOption = None,
+    convention: ConventionOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
     from insonify.io.recordings import open_recording
     from insonify.io.recordings.summary import summarise
 
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
+    reading = reading_of(
+        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
+        convention,
+    )  # fmt: skip
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
@@ -124,7 +157,7 @@ def info(
     if as_json:
         print(json.dumps(summary, indent=2))
     else:
-        print_listing(["what", "value"], _rows(summary))
+        print_listing(["what", "value"], summary_rows(summary))
 
 
 @app.command("map")
@@ -143,6 +176,9 @@ def map_(
     pose_topic: PoseTopicOption = None,
     max_gap: GapOption = None,
     scale: ScaleOption = None,
+    mount: MountOption = None,
+    beams: BeamsOption = None,
+    convention: ConventionOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
@@ -156,10 +192,12 @@ def map_(
     from insonify.results.map import save_remap
 
     full = map_config(voxel, absolute(mapper), settings, config)
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
+    reading = reading_of(
+        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
+        convention,
+    )  # fmt: skip
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
-        _say_what_is_assumed(recordings)
         with _progress() as watch:
             remap = map_recordings(
                 recordings,
@@ -239,16 +277,6 @@ def box_from_text(text: str) -> Box:
     return Box((x0, y0, z0), (x1, y1, z1))
 
 
-def _say_what_is_assumed(recordings: list[Recording]) -> None:
-    for recording in recordings:
-        if recording.facts.get("elevation_assumed"):
-            print(
-                f"insonify: warning: {recording.path}: how high its beams are is not in the file; "
-                "a nominal figure is taken (--sonar says better)",
-                file=sys.stderr,
-            )
-
-
 @contextmanager
 def _progress() -> Iterator[Watch]:
     """A progress bar over the pings of one recording after another."""
@@ -285,9 +313,12 @@ def reading_of(
     pose_topic: str | None,
     max_gap_s: float | None,
     full_scale: float | None,
+    mount: str | None,
+    beams: str | None,
+    convention: str | None,
 ) -> Reading:
     """What the options say of a recording."""
-    from insonify.io.recordings.recording import Reading
+    from insonify.io.recordings.recording import BEAMS, CONVENTIONS, Reading
     from insonify.sonar.devices import named_device
 
     device = named_device(sonar) if sonar is not None else None
@@ -295,36 +326,35 @@ def reading_of(
         raise ConfigError(f"--max-gap takes seconds above 0, not {max_gap_s:g}")
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise ConfigError(f"--scale takes the value of the loudest echo, not {full_scale:g}")
-    return Reading(device, poses, clock_offset_s, sonar_topic, pose_topic, max_gap_s, full_scale)
+    if beams is not None and beams not in (*BEAMS, "auto"):
+        raise ConfigError(f"--beams takes {', '.join(BEAMS)} or auto, not {beams!r}")
+    if convention is not None and convention not in CONVENTIONS:
+        raise ConfigError(f"--convention takes {' or '.join(CONVENTIONS)}, not {convention!r}")
+    return Reading(
+        device=device,
+        poses=poses,
+        clock_offset_s=clock_offset_s,
+        sonar_topic=sonar_topic,
+        pose_topic=pose_topic,
+        max_gap_s=max_gap_s,
+        full_scale=full_scale,
+        mount=None if mount is None else _mount(mount),
+        beams=None if beams == "auto" else beams,
+        convention=convention,
+    )
 
 
-def _rows(summary: dict[str, Any]) -> list[list[str]]:
-    rows = [[key, summary[key]] for key in ("file", "format", "pings")]
-    if summary["clock"]:
-        rows += [["first ping, s", summary["first_s"]], ["duration, s", summary["duration_s"]]]
-    else:
-        rows += [["clock", "none: pings count from 0"]]
-    for fan in summary["fans"]:
-        kind = f"{fan['beams']} beams x {fan['bins']} bins"
-        rows.append(["fan" if len(summary["fans"]) == 1 else f"fan of {fan['pings']} pings", kind])
-        rows.append(["  ranges, m", f"{fan['range_min_m']:.6g} to {fan['range_max_m']:.6g}"])
-        rows.append(["  bin, m", f"{fan['bin_m']:.6g}"])
-        low, high = fan["bearings_deg"]
-        rows.append(["  edges, deg to starboard", f"{low:.2f} to {high:.2f}"])
-        rows.append(["  elevation, deg", f"{fan['elevation_deg']:g}{_assumed(summary)}"])
-        rows.append(["  mount roll, pitch, yaw, deg", str(fan["mount_rpy_deg"])])
-    rows.append(["pixels, of 1", f"mean {summary['pixel_mean']}, most {summary['pixel_max']}"])
-    path = f", {summary['path_m']:.3f} m of path" if summary["poses"] else ""
-    rows.append(["poses", f"{summary['poses']} of {summary['pings']} pings{path}"])
-    says = {key: value for key, value in summary["says"].items() if key != "elevation_assumed"}
-    says["source of poses"] = says.pop("poses")
-    for key, value in says.items():
-        if isinstance(value, dict):
-            rows += [[key, ""], *([f"  {name}", number] for name, number in value.items())]
-        else:
-            rows.append([key.replace("_", " "), value])
-    return [[str(key), str(value)] for key, value in rows]
+def _mount(text: str) -> Pose:
+    from insonify.types import Pose
 
-
-def _assumed(summary: dict[str, Any]) -> str:
-    return " (assumed; --sonar says better)" if summary["says"].get("elevation_assumed") else ""
+    try:
+        x, y, z, *degrees = [float(word) for word in text.replace(",", " ").split()]
+        roll, pitch, yaw = map(math.radians, degrees)
+        if max(map(abs, degrees)) > 360.0 or max(abs(x), abs(y), abs(z)) > 1000.0:
+            raise ValueError
+        return Pose(x, y, z, roll, pitch, yaw)
+    except (ValueError, GeometryError) as err:
+        raise ConfigError(
+            "--mount takes six numbers, metres forward, to port and up, then degrees of roll, "
+            f"pitch and yaw, as in '0.3 0 -0.1 0 20 0', not {text!r}"
+        ) from err

@@ -12,7 +12,10 @@ import typer
 
 from insonify.cli.progress import progress
 from insonify.cli.recordings import (
+    BeamsOption,
+    ConventionOption,
     GapOption,
+    MountOption,
     OffsetOption,
     PosesOption,
     PoseTopicOption,
@@ -49,6 +52,9 @@ def view(
     pose_topic: PoseTopicOption = None,
     max_gap: GapOption = None,
     scale: ScaleOption = None,
+    mount: MountOption = None,
+    beams: BeamsOption = None,
+    convention: ConventionOption = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
     as_json: JsonOption = False,
@@ -59,7 +65,10 @@ def view(
 
     how = map_config(voxel, None, settings)
     box = box_from_text(region) if region is not None else None
-    reading = reading_of(sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale)
+    reading = reading_of(
+        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
+        convention,
+    )  # fmt: skip
     told = open_story(path, reading, how, box)
     page = Page(told.story, host, port)
     if as_json:

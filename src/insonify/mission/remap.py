@@ -26,6 +26,8 @@ from insonify.types import Box, FanGeometry, Pose, PosedPing
 KEPT_PINGS = 6
 MOST_REGION_VOXELS = 150_000_000
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * BYTES_PER_VOXEL
+_ABOVE_WATER_M = 0.5
+"""A vehicle that never comes lower is in doubt; at the surface it may well be less."""
 _GROWTH = 3
 """Memory at a moment when the map's arrays double: the old ones and the new."""
 
@@ -153,6 +155,9 @@ def _map_one(
         raise RecordingError(f"{recording.path}: there are no pings in it")
     if mapped == 0:
         raise RecordingError(_no_pose(recording, pings))
+    doubts = [*recording.facts.get("doubts", ()), *_above_water(recording, remap.poses[-mapped:])]
+    for doubt in doubts:
+        warnings.warn(f"{recording.path}: {doubt}", RecordingWarning, stacklevel=3)
     if mapped < pings:
         warnings.warn(
             f"{recording.path}: {pings - mapped} of {pings} pings have no pose at their time and "
@@ -167,9 +172,20 @@ def _map_one(
             "format": recording.format,
             "pings": pings,
             "mapped": mapped,
-            "doubts": list(recording.facts.get("doubts", ())),
+            "doubts": doubts,
         }
     )
+
+
+def _above_water(recording: Recording, poses: Sequence[Pose]) -> list[str]:
+    """A doubt of poses that all lie above 0, unless they are known to be heights."""
+    lowest, highest = min(pose.z_m for pose in poses), max(pose.z_m for pose in poses)
+    if recording.exact or lowest < _ABOVE_WATER_M:
+        return []
+    return [
+        f"its poses lie {lowest:.3g} to {highest:.3g} m above 0, which is above the water where "
+        "heights are told from its surface; if they are depths, say --convention ned"
+    ]
 
 
 def _warn_of_nothing(remap: Remap) -> None:

@@ -54,6 +54,11 @@ class SonarDevice(Settings):
         0.0, ge=0, le=90, description="-3 dB width of a receive beam; 0: the beams' spacing"
     )
     tilt_deg: float = Field(30.0, ge=-90, le=90, description="mounted looking down by this angle")
+    mount_m: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="mounted so far forward, to port and up on the vehicle"
+    )
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="mounted rolled; 180: upside down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="mounted turned to port")
     rate_hz: float = Field(
         0.0, ge=0, le=1000, description="pings a second at most; 0: as the sound's way allows"
     )
@@ -95,27 +100,25 @@ class SonarDevice(Settings):
             bins=self.bins,
             range_min_m=self.range_min_m,
             range_max_m=self.range_max_m,
-            mount=_turned(math.radians(self.tilt_deg), head_rad, self.kind),
+            mount=self._mount(head_rad),
         )
+
+    def _mount(self, head_rad: float) -> Pose:
+        """The head on the body.
+
+        A side-scan's heads are turned first and then tilted.  Others turn on a tilted base: a
+        scanning sonar tilted by 90 degrees scans the plane across the track.
+        """
+        roll, tilt, yaw = map(math.radians, (self.roll_deg, self.tilt_deg, self.yaw_deg))
+        if self.kind is Kind.SIDESCAN:
+            return Pose(*self.mount_m, roll, tilt, yaw + head_rad)
+        base = Pose(*self.mount_m, roll, tilt, yaw)
+        return base if head_rad == 0.0 else compose(base, Pose(0.0, 0.0, 0.0, yaw_rad=head_rad))
 
     def interval_s(self, sound_speed_mps: float) -> float:
         """Time from one ping to the next: the sound's way there and back, or the rate's cap."""
         travel_s = 2.0 * self.range_max_m / sound_speed_mps
         return max(travel_s, 1.0 / self.rate_hz) if self.rate_hz > 0.0 else travel_s
-
-
-def _turned(tilt_rad: float, head_rad: float, kind: Kind) -> Pose:
-    """A head on the body.
-
-    A side-scan's heads are turned first and then tilted.  Others turn on a tilted base: a scanning
-    sonar tilted by 90 degrees scans the plane across the track.
-    """
-    if kind is Kind.SIDESCAN:
-        return Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad, yaw_rad=head_rad)
-    if head_rad == 0.0:
-        return Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad)
-    base, head = Pose(0.0, 0.0, 0.0, pitch_rad=tilt_rad), Pose(0.0, 0.0, 0.0, yaw_rad=head_rad)
-    return compose(base, head)
 
 
 @cache
@@ -170,7 +173,7 @@ def _preset_table(name: str) -> Table:
 
 
 def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
-    """The device whose fan has this geometry, as far as a device tells it: of its mount the tilt.
+    """The device whose fan has this geometry.
 
     Raises:
         ConfigError: No forward-looking sonar has such a fan.
@@ -185,6 +188,9 @@ def device_of(geometry: FanGeometry, name: str) -> SonarDevice:
             range_min_m=geometry.range_min_m,
             range_max_m=geometry.range_max_m,
             tilt_deg=math.degrees(geometry.tilt_rad),
+            mount_m=geometry.mount.position_m,
+            roll_deg=math.degrees(geometry.mount.roll_rad),
+            yaw_deg=math.degrees(geometry.mount.yaw_rad),
         )
     except ValidationError as err:
         raise ConfigError(f"{name}: no forward-looking sonar has this fan ({geometry})") from err

@@ -74,7 +74,7 @@ def test_the_turtles_columns_run_from_starboard_to_port_and_its_sonar_is_rolled(
     ("change", "words"),
     [
         ({"images": np.zeros((2, 3), np.uint8)}, "images"),
-        ({"images": np.zeros((2, 3, 4), np.int64)}, "images"),
+        ({"images": np.zeros((2, 3, 4), np.complex128)}, "images"),
         ({"range_max_m": 0.1}, "makes no sense"),
         ({"range_max_m": np.array([1.0, 2.0])}, "not one number"),
         ({"azimuth_deg": np.nan}, "not one number"),

@@ -12,7 +12,7 @@ from insonify.io.recordings.images import read_images
 from insonify.io.recordings.magic import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC
 from insonify.io.recordings.oculus import START as OCULUS_START
 from insonify.io.recordings.oculus import read_oculus
-from insonify.io.recordings.recording import Reading, Recording, with_poses
+from insonify.io.recordings.recording import Reading, Recording, in_our_axes, with_poses
 from insonify.io.recordings.simulated import read_simulated
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
@@ -32,14 +32,20 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
         RecordingError: It is missing, of no known format, or damaged beyond reading.
         MissingExtraError: Its format needs packages that are not installed.
     """
+    head = _head(path)
+    if (head is None and (path / "metadata.yaml").is_file()) or (
+        head is not None and head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))
+    ):
+        return _bag(path, head or b"", reading)
+    recording = _folder(path, reading) if head is None else _file(path, head, reading)
+    return in_our_axes(with_poses(recording, reading), reading)
+
+
+def _head(path: Path) -> bytes | None:
+    """The first bytes of a file; None of a folder."""
     try:
         if path.is_dir():
-            simulated = read_simulated(path)
-            if simulated is not None:
-                return with_poses(simulated, reading)
-            if (path / "metadata.yaml").is_file():
-                return _bag(path, b"", reading)
-            return read_images(path, reading)
+            return None
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: neither a file nor a folder")
         with path.open("rb") as file:
@@ -50,14 +56,20 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
         raise RecordingError(f"{path}: cannot be read ({err.strerror})") from err
     if not head:
         raise RecordingError(f"{path}: an empty file")
+    return head
+
+
+def _folder(path: Path, reading: Reading) -> Recording:
+    return read_simulated(path, reading) or read_images(path, reading)
+
+
+def _file(path: Path, head: bytes, reading: Reading) -> Recording:
     if head[:4] == ARIS_MAGIC:
-        return with_poses(read_aris(path, reading), reading)
+        return read_aris(path, reading)
     if head[:2] == OCULUS_START:
-        return with_poses(read_oculus(path, reading), reading)
+        return read_oculus(path, reading)
     if head[:2] == b"PK":
-        return with_poses(read_arrays(path, reading), reading)
-    if head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC)):
-        return _bag(path, head, reading)
+        return read_arrays(path, reading)
     if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
         raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
     raise RecordingError(

@@ -20,8 +20,8 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
-from insonify.types import Float64, Ping, Pose, PosedPing
+from insonify.io.recordings.recording import HEIGHT_UNKNOWN, Reading, Recording, RecordingWarning
+from insonify.types import Float64, Ping, PosedPing
 
 MAGIC = b"DDF\x05"
 _HEADER_BYTES = 1024
@@ -197,8 +197,10 @@ def _fan(path: Path, frame: dict[str, Any], reading: Reading) -> EvenFan:
     ranges = start_m + (np.arange(frame["samples"]) + 0.5) * step_m
     device = reading.device
     elevation = device.elevation_fov_deg if device else ELEVATION_DEG
-    mount = device.geometry.mount if device else Pose(0.0, 0.0, 0.0)
-    return even_fan(azimuths[::-1], ranges, math.radians(elevation), mount)
+    mirrored = reading.mirrors(port_first=False)
+    return even_fan(
+        azimuths[::-1], ranges, math.radians(elevation), reading.seat, mirrored=mirrored
+    )
 
 
 def _facts(frame: dict[str, Any], beams: int, fan: EvenFan, reading: Reading) -> dict[str, Any]:
@@ -221,7 +223,7 @@ def _facts(frame: dict[str, Any], beams: int, fan: EvenFan, reading: Reading) ->
         "bearing_first_deg": round(float(-azimuths[-1]), 3),
         "bearing_last_deg": round(float(-azimuths[0]), 3),
         "beams_evened": fan.beams is not None,
-        "elevation_assumed": reading.device is None,
+        "doubts": [] if reading.device else [HEIGHT_UNKNOWN.format(ELEVATION_DEG)],
         "poses": "none",
     }
 

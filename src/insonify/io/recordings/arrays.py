@@ -18,7 +18,13 @@ from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
 from insonify.io.archives import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
-from insonify.io.recordings.recording import MOST_PIXELS, Reading, Recording
+from insonify.io.recordings.recording import (
+    MOST_PIXELS,
+    SIDE_UNKNOWN,
+    Reading,
+    Recording,
+    scaled,
+)
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 _KNOWN = {
@@ -43,10 +49,16 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     except DAMAGE as err:
         raise RecordingError(f"{path}: damaged, or not a NumPy archive ({reason(err)})") from err
     images = _images(path, arrays)
-    geometry = _geometry(path, arrays, images, reading)
+    mount = _mount(path, arrays, reading)
+    seat = mount if reading.mount is None else reading.mount
+    geometry = _geometry(path, arrays, images, reading, seat)
     times = _times(path, arrays, len(images))
-    poses = _poses(path, arrays, len(images), geometry.mount)
+    poses = _poses(path, arrays, len(images), mount)
     starboard_first = "columns" not in arrays or str(arrays["columns"]) == "starboard_to_port"
+    starboard_first ^= reading.mirrors(port_first=not starboard_first)
+    reading, doubts = scaled(reading, images.dtype, lambda: int(images.max()))
+    if "columns" not in arrays and reading.beams is None:
+        doubts.append(SIDE_UNKNOWN.format("starboard"))
 
     def read() -> Iterator[PosedPing]:
         for number, pixels in enumerate(images):
@@ -62,6 +74,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
         "pixels": str(images.dtype),
         "columns": "starboard to port" if starboard_first else "port to starboard",
         "poses": "none" if poses is None else f"{len(poses)} in the file",
+        "doubts": doubts,
     }
     return Recording(path, "NumPy arrays", len(images), times is not None, facts, read)
 
@@ -138,10 +151,10 @@ def _check_sizes(path: Path, name: str) -> None:
 
 def _images(path: Path, arrays: dict[str, Array]) -> Array:
     images = arrays.get("images")
-    if images is None or images.ndim != 3 or images.dtype.kind not in "uf" or 0 in images.shape:
+    if images is None or images.ndim != 3 or images.dtype.kind not in "uif" or 0 in images.shape:
         what = "no array `images`" if images is None else f"`images` of shape {images.shape}"
         raise RecordingError(
-            f"{path}: {what}; a recording holds images of shape (pings, bins, beams), unsigned "
+            f"{path}: {what}; a recording holds images of shape (pings, bins, beams), whole "
             "or floating (docs/recordings.md)"
         )
     if images.shape[1] * images.shape[2] > MOST_PIXELS:
@@ -149,7 +162,9 @@ def _images(path: Path, arrays: dict[str, Array]) -> Array:
     return images
 
 
-def _geometry(path: Path, arrays: dict[str, Array], images: Array, reading: Reading) -> FanGeometry:
+def _geometry(
+    path: Path, arrays: dict[str, Array], images: Array, reading: Reading, mount: Pose
+) -> FanGeometry:
     device = reading.device
     numbers = {}
     for name in ("range_min_m", "range_max_m", "azimuth_deg", "elevation_deg"):
@@ -178,7 +193,7 @@ def _geometry(path: Path, arrays: dict[str, Array], images: Array, reading: Read
         bins=images.shape[1],
         range_min_m=near,
         range_max_m=far,
-        mount=_mount(path, arrays, reading),
+        mount=mount,
     )
 
 

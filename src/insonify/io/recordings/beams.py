@@ -9,6 +9,7 @@ stays one the device measured.  A fan that looks to one side is turned by its mo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from insonify.frames import compose
 from insonify.types import Array, FanGeometry, Float32, Float64, Int64, Pose
 
 _ROUNDING = 1e-4
+_CONVERTERS = (8, 10, 12, 14, 16, 24)
+"""Bits of an echo in devices."""
 EVEN = 0.02
 """Beams count as even if none is further from its even place than this share of a beam."""
 
@@ -31,6 +34,13 @@ class EvenFan:
     beams: Int64 | None
     bins: Int64 | None
 
+    def reordered(self, order: Int64) -> EvenFan:
+        """The same of an image whose columns must first be put in an order."""
+        if (order == np.arange(len(order))).all():
+            return self
+        beams = order if self.beams is None else order[self.beams]
+        return EvenFan(self.geometry, beams, self.bins)
+
     def image(self, pixels: Array, full_scale: float | None = None) -> Float32:
         """The device's image, (bins, beams), as an image of the even fan; see `unit_pixels`."""
         if self.beams is not None:
@@ -45,7 +55,9 @@ def even_fan(
     ranges_m: Float64,
     elevation_fov_rad: float,
     mount: Pose,
+    *,
     lone_beam_rad: float = 0.0,
+    mirrored: bool = False,
 ) -> EvenFan:
     """The even fan of a device.
 
@@ -55,10 +67,13 @@ def even_fan(
         elevation_fov_rad: Height of all beams.
         mount: The sonar on the body.
         lone_beam_rad: Width of a beam that has no neighbours to tell it by.
+        mirrored: Each beam looks as far to the other side.
 
     Raises:
         ValueError: The centres are not in order, or are no angles and ranges of a sonar.
     """
+    if mirrored:
+        azimuths_rad = -azimuths_rad[::-1]
     left, right, beams = _spread(-azimuths_rad, lone_beam_rad)
     left, right = -left, -right
     near, far, bins = _spread(ranges_m, 0.0)
@@ -81,7 +96,8 @@ def even_fan(
         range_max_m=far,
         mount=mount,
     )
-    return EvenFan(geometry, beams, bins)
+    fan = EvenFan(geometry, beams, bins)
+    return fan.reordered(np.arange(len(azimuths_rad))[::-1]) if mirrored else fan
 
 
 def _spread(centres: Float64, lone: float) -> tuple[float, float, Int64 | None]:
@@ -104,6 +120,15 @@ def _spread(centres: Float64, lone: float) -> tuple[float, float, Int64 | None]:
     return first, last, np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
 
 
+def bits_used(kind: np.dtype[Any], largest: int) -> int:
+    """Of whole pixels up to ``largest``: of how many bits the device that made them likely is.
+
+    Those of its type, or as many as converters have if even the largest leaves the others unused.
+    """
+    whole = kind.itemsize * 8 - (kind.kind == "i")
+    return next((bits for bits in _CONVERTERS if 0 < largest < 1 << bits and bits < whole), whole)
+
+
 class PixelError(ValueError):
     """Pixels that cannot be meant as they stand."""
 
@@ -119,6 +144,8 @@ def unit_pixels(pixels: Array, full_scale: float | None = None) -> Float32:
         PixelError: A pixel is not a number, below 0, or above the full scale.
     """
     whole = pixels.dtype.kind in "ui"
+    if pixels.dtype.kind not in "uif":
+        raise PixelError(f"its pixels are of type {pixels.dtype}, which is none of numbers")
     scale = full_scale or (float(np.iinfo(pixels.dtype).max) if whole else 1.0)
     scaled = pixels.astype(np.float32) / np.float32(scale)
     if not np.isfinite(scaled).all():

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,9 +20,11 @@ from insonify.errors import RecordingError, reason
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
     MOST_PIXELS,
+    SIDE_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
+    scaled,
     with_poses,
 )
 from insonify.sonar.devices import SonarDevice, named_device
@@ -46,8 +50,12 @@ def read_images(path: Path, reading: Reading) -> Recording:
         )
     device = _device(path, reading)
     first = _pixels(files[0])
-    geometry = _geometry(device, first)
+    geometry = _geometry(device, first, reading)
     times = _times(files)
+    mirrored = reading.mirrors(port_first=True)
+    reading, doubts = scaled(reading, first.dtype, lambda: _largest(files))
+    if reading.beams is None:
+        doubts.append(SIDE_UNKNOWN.format("port"))
 
     def read() -> Iterator[PosedPing]:
         for number, file in enumerate(files):
@@ -56,11 +64,18 @@ def read_images(path: Path, reading: Reading) -> Recording:
             except RecordingError as err:
                 warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
                 continue
-            fan = geometry if pixels.shape == first.shape else _geometry(device, pixels)
+            fan = geometry if pixels.shape == first.shape else _geometry(device, pixels, reading)
             time_s = float(number) if times is None else times[number]
-            yield PosedPing(Ping(unit_pixels(pixels, reading.full_scale), fan, time_s))
+            ordered = pixels[:, ::-1] if mirrored else pixels
+            yield PosedPing(Ping(unit_pixels(ordered, reading.full_scale), fan, time_s))
 
-    facts = {"device": device.name, "pixels": str(first.dtype), "poses": "none"}
+    facts = {
+        "device": device.name,
+        "pixels": str(first.dtype),
+        "columns": "starboard to port" if mirrored else "port to starboard",
+        "poses": "none",
+        "doubts": doubts,
+    }
     count = len(files)
     recording = Recording(path, "folder of images", count, times is not None, facts, read)
     beside = next((path / name for name in POSE_FILES if (path / name).is_file()), None)
@@ -78,10 +93,20 @@ def _device(path: Path, reading: Reading) -> SonarDevice:
     return named_device(str(path / DEVICE_FILE))
 
 
-def _geometry(device: SonarDevice, pixels: Array) -> FanGeometry:
+def _geometry(device: SonarDevice, pixels: Array, reading: Reading) -> FanGeometry:
     """The device's fan with as many bins and beams as the image has."""
     bins, beams = pixels.shape
-    return device.model_copy(update={"bins": bins, "beams": beams}).geometry
+    fan = device.model_copy(update={"bins": bins, "beams": beams}).geometry
+    return fan if reading.mount is None else replace(fan, mount=reading.mount)
+
+
+def _largest(files: list[Path]) -> int:
+    """The largest pixel of all images that can be read."""
+    most = 0
+    for file in files:
+        with suppress(RecordingError):
+            most = max(most, int(_pixels(file).max()))
+    return most
 
 
 def _times(files: list[Path]) -> list[float] | None:
@@ -102,12 +127,12 @@ def _pixels(file: Path) -> Array:
                 width, height = image.size
                 if width * height > MOST_PIXELS:
                     raise RecordingError(f"{file}: {width} x {height} pixels are too many")
-                if image.mode in {"L", "I;16", "I;16B", "F"}:
+                if image.mode in {"L", "I", "I;16", "I;16B", "F"}:
                     return np.array(image)
                 if image.mode == "1":
                     return np.array(image.convert("L"))
                 colours = np.array(image.convert("RGB"))
-                if image.mode in {"I", "CMYK", "YCbCr", "HSV"} or np.ptp(colours, axis=2).any():
+                if image.mode in {"CMYK", "YCbCr", "HSV"} or np.ptp(colours, axis=2).any():
                     raise RecordingError(
                         f"{file}: a picture in colours ({image.mode}), which do not say how loud "
                         "an echo was; export it in grey, of 8 or 16 bits"

@@ -20,8 +20,15 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
-from insonify.types import Array, Float64, Ping, Pose, PosedPing
+from insonify.io.recordings.recording import (
+    HEIGHT_UNKNOWN,
+    Reading,
+    Recording,
+    RecordingWarning,
+    scaled,
+    span,
+)
+from insonify.types import Array, Float64, Ping, PosedPing
 
 START = b"SO"
 _SIMPLE_PING = 0x23
@@ -83,6 +90,9 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
     if not messages:
         raise RecordingError(f"{path}: no whole Oculus simple ping result in it")
     first = messages[0]
+    reading, doubts = scaled(
+        reading, np.dtype(f"u{first.sample_bytes}"), lambda: _largest(path, messages)
+    )
 
     def read() -> Iterator[PosedPing]:
         fan, shape = _fan(path, first, reading), first.shape
@@ -90,13 +100,13 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
             for message in messages:
                 if message.shape != shape:
                     fan, shape = _fan(path, message, reading), message.shape
-                file.seek(message.image_at)
-                raw = file.read(message.ranges * message.row_bytes)
-                image = fan.image(_pixels(message, raw), reading.full_scale)
+                image = fan.image(_pixels(message, file), reading.full_scale)
                 yield PosedPing(Ping(image, fan.geometry))
 
     fan = _fan(path, first, reading)
-    facts = _facts(messages, fan, reading)
+    if reading.device is None:
+        doubts.append(HEIGHT_UNKNOWN.format(math.degrees(fan.geometry.elevation_fov_rad)))
+    facts = _facts(messages, fan) | {"doubts": doubts}
     return Recording(path, "Oculus simple ping results", len(messages), False, facts, read)
 
 
@@ -193,7 +203,14 @@ def _at(field: tuple[str, int], raw: bytes) -> tuple[str, bytes, int]:
     return field[0], raw, field[1]
 
 
-def _pixels(message: _Message, raw: bytes) -> Array:
+def _largest(path: Path, messages: list[_Message]) -> int:
+    with path.open("rb") as file:
+        return max(int(_pixels(message, file).max()) for message in messages)
+
+
+def _pixels(message: _Message, file: BinaryIO) -> Array:
+    file.seek(message.image_at)
+    raw = file.read(message.ranges * message.row_bytes)
     rows = np.frombuffer(raw, np.uint8).reshape(message.ranges, message.row_bytes)
     pixels = np.ascontiguousarray(rows[:, message.gain_bytes :])
     return pixels.view(f"<u{message.sample_bytes}")
@@ -202,23 +219,30 @@ def _pixels(message: _Message, raw: bytes) -> Array:
 def _fan(path: Path, message: _Message, reading: Reading) -> EvenFan:
     device = reading.device
     elevation = device.elevation_fov_deg if device else ELEVATION_DEG[message.frequency_hz > 1.5e6]
-    mount = device.geometry.mount if device else Pose(0.0, 0.0, 0.0)
     ranges = (np.arange(message.ranges, dtype=np.float64) + 0.5) * message.range_resolution_m
     try:
-        return even_fan(-message.bearings_rad, ranges, math.radians(elevation), mount)
+        fan = even_fan(
+            -message.bearings_rad,
+            ranges,
+            math.radians(elevation),
+            reading.seat,
+            mirrored=reading.mirrors(port_first=True),
+        )
     except ValueError as err:
         raise RecordingError(f"{path}: damaged, {err}") from err
+    return fan
 
 
-def _facts(messages: list[_Message], fan: EvenFan, reading: Reading) -> dict[str, Any]:
+def _facts(messages: list[_Message], fan: EvenFan) -> dict[str, Any]:
     first = messages[0]
+    speeds = [message.sound_speed_mps for message in messages]
     bearings = np.degrees(first.bearings_rad)
     return {
         "device": "Blueprint Oculus",
         "message_version": first.version,
         "ping_ids": [first.ping_id, messages[-1].ping_id],
         "frequency_hz": _finite(first.frequency_hz),
-        "sound_speed_mps": _finite(first.sound_speed_mps),
+        "sound_speed_mps": span(speeds),
         "range_resolution_m": first.range_resolution_m,
         "bits": 8 * first.sample_bytes,
         "gain_in_rows": first.gain_bytes > 0,
@@ -226,7 +250,6 @@ def _facts(messages: list[_Message], fan: EvenFan, reading: Reading) -> dict[str
         "bearing_first_deg": round(float(bearings[0]), 3),
         "bearing_last_deg": round(float(bearings[-1]), 3),
         "beams_evened": fan.beams is not None,
-        "elevation_assumed": reading.device is None,
         "poses": "none",
     }
 

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from insonify.errors import RecordingError
-from insonify.io.recordings.beams import PixelError
+from insonify.frames import enu_from_ned
+from insonify.io.recordings.beams import PixelError, bits_used
 from insonify.io.recordings.poses import PoseTrack, read_poses
 from insonify.sonar.devices import SonarDevice
 from insonify.types import Ping, Pose, PosedPing
 
+BEAMS = ("port-to-starboard", "starboard-to-port")
+"""Ways in which the columns of an image run."""
+CONVENTIONS = ("enu", "ned")
+"""Axes of poses: east, north, up with forward, left, up; or north, east, down with forward,
+starboard, down."""
 MOST_PIXELS = 64_000_000
 """A sonar image larger than this is damage, not data."""
 
@@ -34,6 +43,9 @@ class Reading:
         max_gap_s: Between poses further apart pings have none; by default as in `PoseTrack`.
         sonar_topic: Of a bag: where the pings are, if not on the only topic that has some.
         pose_topic: Of a bag: where the poses are.
+        mount: The sonar on the vehicle, ``body_from_sonar``; overrules all else that tells it.
+        beams: Which way the columns of an image run, a name of `BEAMS`; overrules likewise.
+        convention: The axes of poses, a name of `CONVENTIONS`; by default as frames are named.
     """
 
     device: SonarDevice | None = None
@@ -43,6 +55,25 @@ class Reading:
     pose_topic: str | None = None
     max_gap_s: float | None = None
     full_scale: float | None = None
+    mount: Pose | None = None
+    beams: str | None = None
+    convention: str | None = None
+
+    def __post_init__(self) -> None:
+        for known, told in ((BEAMS, self.beams), (CONVENTIONS, self.convention)):
+            if told is not None and told not in known:
+                raise RecordingError(f"{told!r} is none of {', '.join(known)}")
+
+    @property
+    def seat(self) -> Pose:
+        """Where the sonar sits on the vehicle, as far as the user says."""
+        if self.mount is not None:
+            return self.mount
+        return Pose(0.0, 0.0, 0.0) if self.device is None else self.device.geometry.mount
+
+    def mirrors(self, port_first: bool) -> bool:
+        """Whether the user says that beams run the other way than they seem to."""
+        return self.beams is not None and (self.beams == BEAMS[0]) != port_first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +85,10 @@ class Recording:
         format: What it is, for people.
         count: How many pings it holds.
         timed: Whether the pings' times are of a clock; if not they count from 0.
-        facts: What the file says of itself, JSON-ready, units in the names.
+        facts: What the file says of itself, JSON-ready, units in the names; ``doubts`` are what
+            had to be assumed of it, in sentences.
         read: Reads the pings from the start.
+        exact: Whether it tells all of itself, as what is simulated does.
     """
 
     path: Path
@@ -64,6 +97,7 @@ class Recording:
     timed: bool
     facts: dict[str, Any]
     read: Callable[[], Iterator[PosedPing]]
+    exact: bool = False
 
     def __iter__(self) -> Iterator[PosedPing]:
         """The pings, in the order of the recording.
@@ -75,6 +109,68 @@ class Recording:
             yield from self.read()
         except PixelError as err:
             raise RecordingError(f"{self.path}: {err}") from err
+
+
+def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
+    """A ping that tells all of itself, as the user says that it is instead."""
+    ping = posed.ping
+    if reading.mirrors(port_first=True):
+        ping = replace(ping, image=np.ascontiguousarray(ping.image[:, ::-1]))
+    if reading.mount is not None:
+        ping = replace(ping, geometry=replace(ping.geometry, mount=reading.mount))
+    return replace(posed, ping=ping)
+
+
+def in_our_axes(recording: Recording, reading: Reading) -> Recording:
+    """A recording whose poses are converted if the user says that they are of other axes."""
+    if reading.convention != "ned":
+        return recording
+
+    def read() -> Iterator[PosedPing]:
+        for posed in recording.read():
+            pose = None if posed.pose is None else enu_from_ned(posed.pose)
+            yield replace(posed, pose=pose)
+
+    return replace(recording, read=read)
+
+
+def scaled(
+    reading: Reading, kind: np.dtype[Any], largest: Callable[[], int]
+) -> tuple[Reading, list[str]]:
+    """What the user says, with the full scale of pixels of a type, and how that is a guess.
+
+    ``largest`` finds the largest pixel, and is asked only for whole numbers of more than 8 bits.
+    """
+    if reading.full_scale is not None or kind.kind not in "ui" or kind.itemsize == 1:
+        return reading, []
+    most = largest()
+    bits = bits_used(kind, most)
+    if bits >= kind.itemsize * 8 - 1:
+        return reading, []
+    full_scale = float((1 << bits) - 1)
+    doubt = (
+        f"its pixels are {kind.name} but go up to {most} only, so they are taken as of {bits} bits "
+        f"with a full scale of {full_scale:g} (--scale says otherwise)"
+    )
+    return replace(reading, full_scale=full_scale), [doubt]
+
+
+def span(values: Sequence[float]) -> float | list[float] | None:
+    """A figure of a recording: itself if it stays, its least and greatest if it changes."""
+    known = [round(value, 6) for value in values if math.isfinite(value)]
+    if not known:
+        return None
+    low, high = min(known), max(known)
+    return low if low == high else [low, high]
+
+
+SIDE_UNKNOWN = (
+    "it does not say on which side its columns begin; {} is assumed, and if that is wrong the map "
+    "is a mirror image (--beams says which, `insonify check` finds out)"
+)
+HEIGHT_UNKNOWN = (
+    "how high its beams are is not in it; a nominal {:g} degrees is taken (--sonar says better)"
+)
 
 
 def with_poses(recording: Recording, reading: Reading, beside: Path | None = None) -> Recording:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from insonify.errors import RecordingError
 from insonify.io.pings import is_sweep, load_ping
-from insonify.io.recordings.recording import Recording, RecordingWarning
+from insonify.io.recordings.recording import Reading, Recording, RecordingWarning, corrected
 from insonify.types import PosedPing
 
 PINGS = "pings"
 
 
-def read_simulated(path: Path) -> Recording | None:
+def read_simulated(path: Path, reading: Reading) -> Recording | None:
     """Open a result folder of ``simulate``; None of another folder.
 
     Raises:
@@ -39,7 +39,7 @@ def read_simulated(path: Path) -> Recording | None:
             except RecordingError as err:
                 warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
                 continue
-            yield posed
+            yield corrected(posed, reading)
 
     facts = {"poses": f"{len(files)}, where they were simulated"}
-    return Recording(path, "result of simulate", len(files), True, facts, read)
+    return Recording(path, "result of simulate", len(files), True, facts, read, exact=True)

@@ -80,7 +80,7 @@ def test_a_mount_that_tf_tells_again_and_again(tmp_path: Path, kind: str, child:
     assert _spot_m(path) == pytest.approx([0.0, 5.0, -5.0], abs=0.1)
     facts = open_recording(path).facts
     assert facts["poses"] == f"11 on /odom, whose frame {child} carries the sonar"
-    assert facts["mount"] == "TF, moving" and "doubts" not in facts
+    assert facts["mount"] == "TF, moving" and not facts["doubts"]
 
 
 def test_a_head_that_pans_is_where_it_is_at_each_ping(tmp_path: Path) -> None:
@@ -94,6 +94,7 @@ def test_a_head_that_pans_is_where_it_is_at_each_ping(tmp_path: Path) -> None:
     assert yaws == pytest.approx([9.0 * k + 4.5 for k in range(10)], abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::insonify.io.recordings.recording.RecordingWarning")
 @pytest.mark.parametrize(
     ("base", "words"),
     [("camera_rig", "TF does not join its frame 'sonar' to the vehicle's 'base_link'"),
@@ -105,13 +106,13 @@ def test_a_mount_that_is_not_known_is_told(tmp_path: Path, base: str, words: str
     if base:
         messages.append(_mounted(maker, Pose(0.0, 0.0, 0.0), base=base))
     path = _bag(maker, tmp_path / "b", messages)
+    recording = open_recording(path)
     with pytest.warns(RecordingWarning, match=words):
-        recording = open_recording(path)
-    result = map_recordings([recording], MappingSettings()).result().to_json()
-    (told,) = result["recordings"][0]["doubts"]
-    assert words in told
+        result = map_recordings([recording], MappingSettings()).result().to_json()
+    mount, axes = result["recordings"][0]["doubts"]
+    assert words in mount and "z ahead, y to port, as is assumed" in axes
     device = SonarDevice(tilt_deg=0.0)
-    assert "doubts" not in open_recording(path, Reading(device)).facts
+    assert not any(words in d for d in open_recording(path, Reading(device)).facts["doubts"])
 
 
 def _tf(maker: BagMaker, x: float) -> list[Any]:
@@ -240,7 +241,7 @@ def test_oculus_pings_are_decoded_from_the_bags_own_definition(
         assert math.degrees(fan.azimuth_fov_rad) == pytest.approx(50.0, abs=1e-4)
         assert fan.bin_m == pytest.approx(0.02) and fan.range_min_m == pytest.approx(0.0)
         assert math.degrees(fan.tilt_rad) == pytest.approx(5.0)
-    assert open_recording(path, Reading(sonar_topic="/a")).facts["elevation_assumed"]
+    assert "nominal 20 degrees" in str(open_recording(path, Reading(sonar_topic="/a")).facts)
 
 
 def test_a_ping360_is_one_beam_that_turns(tmp_path: Path) -> None:
@@ -316,8 +317,10 @@ def test_a_message_without_a_pose_leaves_itself_out(tmp_path: Path, kind: str) -
         messages.append(("/odom", float(k), maker.odometry(float(k), place, turn)))
         messages.append(("/s", k + 0.5, maker.projected(k + 0.5, image, AZIMUTHS, RANGES, 0.2)))
     path = maker.write(tmp_path / "b", messages)
-    with pytest.warns(RecordingWarning, match="2 messages of /odom hold no pose"):
-        pings = list(open_recording(path))
+    recording = open_recording(path)
+    (doubt,) = recording.facts["doubts"]
+    assert "2 messages of /odom hold no pose" in doubt
+    pings = list(recording)
     poses = [recorded.pose for recorded in pings]
     assert [pose is None for pose in poses] == [False] * 10 + [True]
     assert poses[3] is not None and poses[3].x_m == pytest.approx(1.75)
@@ -336,3 +339,108 @@ def test_tf_tells_poses_of_the_sonars_own_frame_alone(tmp_path: Path) -> None:
         assert open_recording(path).facts["poses"] == "none"
         with pytest.raises(RecordingError, match="none of its 10 pings has a pose"):
             map_recordings([open_recording(path)], MappingSettings())
+
+
+SIDE = [5.0 * math.cos(math.radians(20.0)), 5.0 * math.sin(math.radians(20.0)), -5.0]
+"""A spot 5 m away and 20 degrees to port, seen from 5 m under the water."""
+
+
+def _aside(maker: BagMaker, directions: Any, azimuths: Any, frame: str = "sonar") -> list[Any]:
+    """Pings with a spot 20 degrees to port, in a beam order and with directions of a driver's."""
+    image = np.zeros((100, len(azimuths)), np.uint8)
+    image[48:51, abs(azimuths - math.radians(20.0)) < 0.03] = 255
+    pings = []
+    for k in range(10):
+        ping = maker.projected(k + 0.5, image, azimuths, 0.05 + 0.1 * np.arange(100), 0.05, frame)
+        vectors = zip(*np.broadcast_arrays(*directions(azimuths)), strict=True)
+        ping.beam_directions = [maker.vector(*vector) for vector in vectors]
+        pings.append(("/s", k + 0.5, ping))
+    return pings
+
+
+TO_STARBOARD = np.radians(np.linspace(29.5, -29.5, 60))
+DRIVERS = {
+    "oculus_sonar_driver": (lambda a: (0.0, np.sin(a), np.cos(a)), TO_STARBOARD),
+    "nps, dave": (lambda a: (np.cos(a), np.sin(a), 0.0), TO_STARBOARD[::-1]),
+    "optical": (lambda a: (-np.sin(a), 0.0, np.cos(a)), TO_STARBOARD),
+}
+
+
+@pytest.mark.filterwarnings("ignore::insonify.io.recordings.recording.RecordingWarning")
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_beams_as_drivers_and_simulators_write_them(tmp_path: Path, driver: str) -> None:
+    """Without TF the side is assumed, said, and can be overruled."""
+    maker = BagMaker("mcap")
+    directions, azimuths = DRIVERS[driver]
+    messages = _aside(maker, directions, azimuths)
+    path = _bag(maker, tmp_path / "b", messages + _resting(maker, "/odom", [0.0, 0.0, -5.0]))
+    with pytest.warns(RecordingWarning, match="drivers differ"):
+        assert _spot_m(path) == pytest.approx(SIDE, abs=0.15)
+    other = "starboard-to-port" if azimuths[0] > 0.0 else "port-to-starboard"
+    assert _spot_m(path, Reading(beams=other)) == pytest.approx([SIDE[0], -SIDE[1], -5.0], abs=0.15)
+    assert "drivers differ" not in str(open_recording(path, Reading(beams=other)).facts["doubts"])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_beams_in_any_frame_that_tf_tells(tmp_path: Path, seed: int) -> None:
+    """Directions turned at random and a frame turned back by as much: the same map."""
+    maker = BagMaker("mcap")
+    turn = Rotation.random(random_state=seed)
+    while abs((turn.inv().apply([1.0, 0.0, 0.0]))[1]) > 0.95:  # neither along x nor z: refused
+        turn = Rotation.random(random_state=seed + 100)
+    heading = turn.inv().apply([1.0, 0.0, 0.0])
+    if max(heading[0], heading[2]) < 0.1:
+        turn = turn * Rotation.from_euler("y", 180, degrees=True)
+
+    def directions(a: Any) -> Any:
+        return turn.inv().apply(np.stack([np.cos(a), np.sin(a), 0.0 * a], 1)).T
+
+    messages = _aside(maker, directions, TO_STARBOARD)
+    messages += _resting(maker, "/odom", [0.0, 0.0, -5.0])
+    messages.append(
+        ("/tf_static", 0.0, maker.link(0.0, "base_link", "sonar", np.zeros(3), turn.as_quat()))
+    )
+    path = _bag(maker, tmp_path / "b", messages)
+    assert _spot_m(path) == pytest.approx(SIDE, abs=0.15)
+    assert not open_recording(path).facts["doubts"]
+
+
+def test_a_frame_that_tf_has_wrong_looks_up(tmp_path: Path) -> None:
+    maker = BagMaker("mcap")
+    link = maker.link(0.0, "base_link", "sonar", np.zeros(3), LEVEL)
+    messages = _spotted(maker) + _resting(maker, "/odom", [0.0, 0.0, -5.0])
+    path = _bag(maker, tmp_path / "b", [*messages, ("/tf_static", 0.0, link)])
+    with pytest.warns(RecordingWarning, match="by TF its beams look up by 90 degrees"):
+        assert _spot_m(path) == pytest.approx([0.0, 0.0, 0.0], abs=0.15)
+    ahead = Reading(mount=Pose(0.0, 0.0, 0.0), beams="port-to-starboard")
+    assert not open_recording(path, ahead).facts["doubts"]
+    assert _spot_m(path, ahead) == pytest.approx([5.0, 0.0, -5.0], abs=0.15)
+
+
+@pytest.mark.filterwarnings("ignore::insonify.io.recordings.recording.RecordingWarning")
+@pytest.mark.parametrize("joined", [True, False])
+def test_axes_of_poses_by_the_names_of_frames(tmp_path: Path, joined: bool) -> None:
+    """North 1, east 2, 5 m deep, heading east, and a mount that looks to starboard."""
+    maker = BagMaker("mcap")
+    east = Rotation.from_euler("z", 90.0, degrees=True).as_quat()
+    messages = _spotted(maker)
+    for k in range(11):
+        message = maker.odometry(float(k), np.array([1.0, 2.0, 5.0]), east, "base_link_frd")
+        message.header.frame_id = "odom_ned"
+        messages.append(("/odom", float(k), message))
+    reading = Reading(beams="port-to-starboard")
+    expected = [7.0, 1.0, -5.0]
+    if joined:  # z ahead, y to starboard, x up in forward, starboard, down: to starboard by 90
+        frd_from_frame = np.stack([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 1)
+        quaternion = Rotation.from_matrix(frd_from_frame).as_quat()
+        link = maker.link(0.0, "base_link_frd", "sonar", np.zeros(3), quaternion)
+        messages.append(("/tf_static", 0.0, link))
+        expected = [2.0, -4.0, -5.0]
+    path = _bag(maker, tmp_path / "b", messages)
+    assert _spot_m(path, reading) == pytest.approx(expected, abs=0.15)
+    facts = open_recording(path).facts
+    assert "taken as north, east, down of a body forward, starboard, down" in facts["poses"]
+    (first, *_) = open_recording(path)
+    assert first.pose is not None
+    assert [first.pose.x_m, first.pose.y_m, first.pose.z_m] == pytest.approx([2.0, 1.0, -5.0])
+    assert [first.pose.roll_rad, first.pose.yaw_rad] == pytest.approx([0.0, 0.0], abs=1e-9)

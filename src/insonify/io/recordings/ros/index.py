@@ -24,7 +24,8 @@ class Index:
     Attributes:
         counts: Messages of each topic and its type.
         sonars: Topics of pings and what they are.
-        tracks: Rows of time and pose of each topic of poses, and the frame that is posed.
+        tracks: Rows of time and pose of each topic of poses.
+        posed: The frame that each of them poses, and ``worlds`` the one it is posed in.
         states: PingStates by stamp.
         tree: TF.
         frames: The frame of each topic of pings.
@@ -36,6 +37,7 @@ class Index:
     sonars: dict[str, str] = field(default_factory=dict)
     tracks: dict[str, list[list[float]]] = field(default_factory=dict)
     posed: dict[str, str] = field(default_factory=dict)
+    worlds: dict[str, str] = field(default_factory=dict)
     states: dict[int, Any] = field(default_factory=dict)
     tree: FrameTree = field(default_factory=FrameTree)
     frames: dict[str, str] = field(default_factory=dict)
@@ -85,4 +87,5 @@ def _note_pose(index: Index, message: BagMessage, decoded: Any) -> None:
         index.no_poses[message.topic] = index.no_poses.get(message.topic, 0) + 1
         return
     index.tracks.setdefault(message.topic, []).append(row)
+    index.worlds[message.topic] = str(decoded.header.frame_id)
     index.posed[message.topic] = str(getattr(decoded, "child_frame_id", ""))

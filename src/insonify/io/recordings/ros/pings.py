@@ -1,7 +1,7 @@
 """Sonar messages as pings, told by the fields they have.
 
 - ``ProjectedSonarImage`` (marine_acoustic_msgs): data range by range, as its consumers read it;
-  beams in the y-z plane of its frame, z forward, x up.
+  beams along its directions, whatever plane of its frame they lie in (`directions`).
 - ``OculusPing`` (sonar_oculus and its relatives): an image of ranges by beams, nearest first, port
   first; bearings to starboard, in hundredths of a degree if whole numbers, else in radians.
 - ``SonarEcho`` (ping360_sonar): one beam at an angle, positive to port, over a range in metres.
@@ -18,17 +18,18 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from insonify.frames import pose_from_transform
+from insonify.frames import compose, pose_from_transform
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import MOST_PIXELS
-from insonify.io.recordings.ros.messages import DTYPES, IMAGE_FROM_SONAR
-from insonify.sonar.devices import SonarDevice
+from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading
+from insonify.io.recordings.ros.directions import BeamPlane, beam_plane
+from insonify.io.recordings.ros.messages import DTYPES
 from insonify.types import Array, Float64, Ping, Pose
 
 PING360_BEAM_DEG = (2.0, 25.0)
 """Width and height of the Ping360's beam (Blue Robotics)."""
 ELEVATION_DEG = 20.0
 """Taken for a fan that no one tells the height of."""
+_UPWARDS = math.sin(math.radians(60.0))
 _SHAPES = {
     "ProjectedSonarImage": {"beam_directions", "ranges", "image", "ping_info"},
     "OculusPing": {"ping", "bearings", "range_resolution", "num_ranges"},
@@ -53,31 +54,34 @@ class PingDecoder:
         self,
         shape: str,
         mount: Float64 | None,
-        device: SonarDevice | None,
-        full_scale: float | None = None,
+        reading: Reading,
+        *,
+        framed: bool = False,
+        ours: bool = False,
     ) -> None:
         """For messages of a shape.
 
         Args:
             shape: A name that `sonar_shape` gives.
-            mount: ``body_from_frame`` (4, 4) of the message's frame, where TF tells it.
-            device: Tells the mount and the height of the beams where nothing else does.
-            full_scale: Of its pixels, if that is not their type's.
+            mount: ``body_from_frame`` (4, 4) of the message's frame, where TF tells it for good.
+            reading: Tells the mount and the height of the beams where nothing else does, and what
+                overrules the messages.
+            framed: Whether TF tells the frame for each ping, to `sit`.
+            ours: Whether insonify wrote them, so that frames are those of the definition.
         """
-        self.elevation_assumed = False
-        self._shape, self._device, self._full_scale = shape, device, full_scale
-        self._mount = Pose(0.0, 0.0, 0.0) if device is None else device.geometry.mount
+        self.doubts: list[str] = []
+        self.axes = ""
+        self._shape, self._reading = shape, reading
+        self._mount: Float64 | None = None
+        self._ours = ours
+        self._framed = framed or mount is not None
         self._fans: dict[Any, EvenFan] = {}
         self.sit(mount)
 
     def sit(self, mount: Float64 | None) -> None:
         """From now on the sonar's frame is there on the body, if that is known."""
-        if mount is None:
-            return
-        turned = mount @ IMAGE_FROM_SONAR if self._shape == "ProjectedSonarImage" else mount
-        pose = pose_from_transform(turned)
-        if pose != self._mount:
-            self._mount = pose
+        if mount is not None and (self._mount is None or (mount != self._mount).any()):
+            self._mount = mount
             self._fans.clear()
 
     def ping(self, message: Any, time_s: float) -> Ping:
@@ -87,7 +91,7 @@ class PingDecoder:
             ValueError: What it says of itself does not fit together.
         """
         pixels, fan = getattr(self, f"_{self._shape}")(message)
-        return Ping(fan.image(pixels, self._full_scale), fan.geometry, time_s)
+        return Ping(fan.image(pixels, self._reading.full_scale), fan.geometry, time_s)
 
     def pixels(self, message: Any) -> Array:
         """The image of a message, (bins, beams), as it lies in it, scaled by nothing.
@@ -107,6 +111,18 @@ class PingDecoder:
         data = np.asarray(image.data, np.uint8).view(kind).reshape(bins, beams)
         return data.astype(kind.newbyteorder("="))
 
+    def raw(self, message: Any) -> Array:
+        """Its pixels, of any shape and as they lie in it.
+
+        Raises:
+            ValueError: They are not as many as it says.
+        """
+        if self._shape == "ProjectedSonarImage":
+            return self.pixels(message)
+        if self._shape == "OculusPing":
+            return _picture(message.ping)
+        return np.asarray(message.intensities, np.uint8)
+
     def _ProjectedSonarImage(self, message: Any) -> tuple[Array, EvenFan]:  # noqa: N802
         pixels = self.pixels(message)
         vectors = np.array([[d.x, d.y, d.z] for d in message.beam_directions]).reshape(-1, 3)
@@ -115,17 +131,14 @@ class PingDecoder:
         widths = message.ping_info.tx_beamwidths
         height = float(widths[0]) if len(widths) and 0.0 < widths[0] <= math.pi else 0.0
         ranges = np.asarray(message.ranges, np.float64)
-        order = np.argsort(np.arctan2(vectors[:, 1], vectors[:, 2]), kind="stable")
         key = (vectors.tobytes(), ranges.tobytes(), height)
         if key not in self._fans:
-            lengths = np.linalg.norm(vectors, axis=1)
-            if not (np.isfinite(vectors).all() and (lengths > 1e-6).all()):
-                raise ValueError("a beam has no direction")
-            if (abs(vectors[:, 0]) > 0.1 * lengths).any():
-                raise ValueError("its beams leave the y-z plane")
-            azimuths = np.arctan2(-vectors[:, 1], vectors[:, 2])[order]
-            self._keep(key, azimuths, ranges, self._elevation(height), self._mount)
-        return pixels[:, order], self._fans[key]
+            plane = beam_plane(vectors, by_definition=self._ours or self._framed)
+            self.axes = plane.custom
+            mount = self._seat(plane.frame_from_sonar, plane.frame_from_custom)
+            self._note_axes(mount, plane)
+            self._keep(key, plane.azimuths_rad, ranges, self._elevation(height), mount)
+        return pixels, self._fans[key]
 
     def _OculusPing(self, message: Any) -> tuple[Array, EvenFan]:  # noqa: N802
         pixels = _picture(message.ping)
@@ -139,7 +152,7 @@ class PingDecoder:
         key = (bearings.tobytes(), bins, step)
         if key not in self._fans:
             ranges = (np.arange(bins, dtype=np.float64) + 0.5) * step
-            self._keep(key, -bearings, ranges, self._elevation(0.0), self._mount)
+            self._keep(key, -bearings, ranges, self._elevation(0.0), self._seat())
         return pixels, self._fans[key]
 
     def _SonarEcho(self, message: Any) -> tuple[Array, EvenFan]:  # noqa: N802
@@ -152,21 +165,57 @@ class PingDecoder:
             width, height = np.radians(PING360_BEAM_DEG).tolist()
             ranges = (np.arange(bins, dtype=np.float64) + 0.5) * (float(message.range) / bins)
             angle = math.remainder(angle, math.tau)
-            fan = even_fan(np.array([angle]), ranges, height, self._mount, lone_beam_rad=width)
+            fan = even_fan(np.array([angle]), ranges, height, self._seat(), lone_beam_rad=width)
             self._fans[key] = fan
         return pixels, self._fans[key]
+
+    def _seat(
+        self, frame_from_sonar: Float64 | None = None, frame_from_custom: Float64 | None = None
+    ) -> Pose:
+        """The sonar on the body: as TF says, or as the user, whose axes are those of custom."""
+        turned = np.eye(4) if frame_from_sonar is None else frame_from_sonar
+        if self._mount is not None:
+            return pose_from_transform(self._mount @ turned)
+        if frame_from_custom is not None:
+            turned = frame_from_custom.T @ turned
+        seat = self._reading.seat
+        return seat if (turned == np.eye(4)).all() else compose(seat, pose_from_transform(turned))
+
+    def _note_axes(self, mount: Pose, plane: BeamPlane) -> None:
+        up = -math.sin(mount.pitch_rad)
+        told = self._framed or self._ours or self._reading.beams is not None
+        if not told and len(plane.azimuths_rad) > 1:
+            self._doubt(
+                f"the directions of its beams lie {plane.custom}, as is assumed, since nothing "
+                "says how that frame sits; drivers differ, and if it is wrong the map is a mirror "
+                "image (--beams says which way they run, `insonify check` finds out)"
+            )
+        elif self._mount is not None and up > _UPWARDS:
+            self._doubt(
+                f"by TF its beams look up by {math.degrees(math.asin(min(1.0, up))):.0f} degrees; "
+                "if they do not, the frame of its pings is not the one that TF describes "
+                "(--mount overrules it)"
+            )
+
+    def _doubt(self, words: str) -> None:
+        if words not in self.doubts:
+            self.doubts.append(words)
 
     def _keep(
         self, key: Any, azimuths: Float64, ranges: Float64, height: float, mount: Pose
     ) -> None:
-        self._fans[key] = even_fan(azimuths, ranges, height, mount)
+        """Keep the fan of beams at azimuths in the order of the image."""
+        mirrored = self._reading.mirrors(port_first=bool(azimuths[0] >= azimuths[-1]))
+        order = np.argsort(-azimuths, kind="stable")
+        fan = even_fan(azimuths[order], ranges, height, mount, mirrored=mirrored)
+        self._fans[key] = fan.reordered(order)
 
     def _elevation(self, told_rad: float) -> float:
         if told_rad > 0.0:
             return told_rad
-        if self._device is not None:
-            return math.radians(self._device.elevation_fov_deg)
-        self.elevation_assumed = True
+        if self._reading.device is not None:
+            return math.radians(self._reading.device.elevation_fov_deg)
+        self._doubt(HEIGHT_UNKNOWN.format(ELEVATION_DEG))
         return math.radians(ELEVATION_DEG)
 
 

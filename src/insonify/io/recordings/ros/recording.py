@@ -7,16 +7,21 @@ from collections.abc import Iterator
 from typing import Any
 
 from insonify.errors import RecordingError, reason
-from insonify.frames import pose_from_transform
 from insonify.io.recordings.beams import PixelError, unit_pixels
-from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
+from insonify.io.recordings.recording import (
+    Reading,
+    Recording,
+    RecordingWarning,
+    corrected,
+    scaled,
+)
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import stamp_ns
 from insonify.io.recordings.ros.index import Index, index_of
 from insonify.io.recordings.ros.messages import geometry_from_state
 from insonify.io.recordings.ros.pings import PingDecoder
 from insonify.io.recordings.ros.whereabouts import Whereabouts, whereabouts
-from insonify.types import Ping, Pose, PosedPing
+from insonify.types import Array, Ping, Pose, PosedPing
 
 
 def read_bag(bag: Bag, reading: Reading) -> Recording:
@@ -34,10 +39,11 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
         )
     topic = _sonar_topic(bag, index, reading)
     poses = whereabouts(bag, index, topic, reading)
-    for doubt in poses.doubts:
-        warnings.warn(f"{bag.path}: {doubt}", RecordingWarning, stacklevel=2)
     count = sum(n for (name, _), n in index.counts.items() if name == topic)
-    decoder = PingDecoder(index.sonars[topic], poses.mount, reading.device, reading.full_scale)
+    reading, scale_doubts = _scaled(bag, index, topic, reading)
+    decoder = PingDecoder(
+        index.sonars[topic], poses.mount, reading, framed=bool(poses.base), ours=bool(index.states)
+    )
 
     def read() -> Iterator[PosedPing]:
         broken, why = 0, ""
@@ -55,30 +61,55 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
                 stacklevel=2,
             )
 
+    if not poses.exact:
+        _look_at_the_first(bag, topic, decoder)
+    facts = _facts(index, topic, poses, decoder)
+    facts["doubts"] += scale_doubts
+    return Recording(bag.path, bag.format, count, True, facts, read, poses.exact)
+
+
+def _facts(index: Index, topic: str, poses: Whereabouts, decoder: PingDecoder) -> dict[str, Any]:
     facts: dict[str, Any] = {
         "topics": {f"{name} ({kind})": n for (name, kind), n in sorted(index.counts.items())},
         "sonar_topic": topic,
         "sonar_frame": index.frames.get(topic, ""),
         "mount": poses.mount_source,
+        "beams": decoder.axes,
         "poses": poses.source,
-        "elevation_assumed": _assumes(bag, topic, decoder),
+        "doubts": [*poses.doubts, *decoder.doubts],
     }
     if poses.track is not None:
         facts["max_gap_s"] = poses.track.max_gap_s
-    if poses.doubts:
-        facts["doubts"] = list(poses.doubts)
-    return Recording(bag.path, bag.format, count, True, facts, read)
+    return facts
 
 
-def _assumes(bag: Bag, topic: str, decoder: PingDecoder) -> bool:
-    """Whether the height of the beams is a guess, found out from the first ping."""
+def _look_at_the_first(bag: Bag, topic: str, decoder: PingDecoder) -> None:
+    """Decode the first ping, so that the decoder knows what it has to assume."""
     for message in bag.read({topic}):
         try:
             decoder.ping(message.decode(), 0.0)
+        except PixelError:
+            return
         except DAMAGE:
             continue
-        return decoder.elevation_assumed
-    return False
+        return
+
+
+def _scaled(bag: Bag, index: Index, topic: str, reading: Reading) -> tuple[Reading, list[str]]:
+    """The full scale of the pings' pixels, as `scaled` finds it."""
+    decoder = PingDecoder(index.sonars[topic], None, reading)
+
+    def raw() -> Iterator[Array]:
+        for message in bag.read({topic}):
+            try:
+                yield decoder.raw(message.decode())
+            except DAMAGE:
+                continue
+
+    first = next(raw(), None)
+    if first is None:
+        return reading, []
+    return scaled(reading, first.dtype, lambda: max(int(pixels.max()) for pixels in raw()))
 
 
 def _recorded(
@@ -95,21 +126,16 @@ def _recorded(
             raise ValueError(f"a state of {geometry.bins} x {geometry.beams} pixels is not its own")
         image = unit_pixels(pixels, reading.full_scale)
         pose, truth = (Pose(*map(float, six)) for six in (state.pose, state.truth))
-        return PosedPing(Ping(image, geometry, time_s), pose, truth)
+        return corrected(PosedPing(Ping(image, geometry, time_s), pose, truth), reading)
     at_s = time_s + reading.clock_offset_s
     mount = poses.mount
     if poses.base:
         mount = index.tree.between(poses.base, str(decoded.header.frame_id), at_s)
         if mount is None:
             return PosedPing(decoder.ping(decoded, time_s))
+        mount = mount if poses.turn is None else poses.turn @ mount
     decoder.sit(mount)
-    ping = decoder.ping(decoded, time_s)
-    if poses.track is not None:
-        return PosedPing(ping, poses.track.at(at_s))
-    if poses.frame:
-        transform = index.tree.in_root(poses.frame, at_s)
-        return PosedPing(ping, None if transform is None else pose_from_transform(transform))
-    return PosedPing(ping)
+    return PosedPing(decoder.ping(decoded, time_s), poses.pose(index, at_s))
 
 
 def _sonar_topic(bag: Bag, index: Index, reading: Reading) -> str:

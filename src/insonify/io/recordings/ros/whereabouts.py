@@ -7,16 +7,22 @@ user says which.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from insonify.errors import RecordingError
+from insonify.frames import (
+    ENU_FROM_NED,
+    FLU_FROM_FRD,
+    pose_from_transform,
+    transform_from_pose,
+)
 from insonify.io.recordings.poses import PoseTrack
 from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros.bags import Bag
 from insonify.io.recordings.ros.index import KINDS, Index
-from insonify.types import Float64
+from insonify.types import Float64, Pose
 
 _WANTED = ("goal", "target", "setpoint", "desired", "reference", "cmd")
 """In topics that tell where a vehicle should be, not where it is."""
@@ -37,6 +43,8 @@ class Whereabouts:
         frame: The frame whose pose TF tells, if there is no track.
         base: The track's frame, in which the sonar's moves.
         exact: Whether PingState tells all of it.
+        world: Turns the poses' world into ours (4, 4), if it is another.
+        turn: Turns the posed body's axes into ours (4, 4), if they are others.
         doubts: What had to be assumed.
     """
 
@@ -47,7 +55,27 @@ class Whereabouts:
     frame: str = ""
     base: str = ""
     exact: bool = False
+    world: Float64 | None = None
+    turn: Float64 | None = None
     doubts: tuple[str, ...] = ()
+
+    def in_our_axes(self, transform: Float64) -> Pose:
+        """A pose (4, 4) of the recording as one of the vehicle in our world."""
+        if self.world is not None:
+            transform = self.world @ transform
+        if self.turn is not None:
+            transform = transform @ self.turn
+        return pose_from_transform(transform)
+
+    def pose(self, index: Index, time_s: float) -> Pose | None:
+        """Where the vehicle was at a time; None if nothing tells."""
+        if self.track is None:
+            transform = index.tree.in_root(self.frame, time_s) if self.frame else None
+            return None if transform is None else self.in_our_axes(transform)
+        pose = self.track.at(time_s)
+        if pose is None or (self.world is None and self.turn is None):
+            return pose
+        return self.in_our_axes(transform_from_pose(pose))
 
 
 def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereabouts:
@@ -57,16 +85,30 @@ def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereab
         RecordingError: Several topics could tell, or one that is asked for cannot.
     """
     frame = index.frames.get(sonar, "")
-    if reading.pose_topic is None and reading.clock_offset_s == 0.0 and index.states:
+    told = reading.pose_topic or reading.convention
+    if told is None and reading.clock_offset_s == 0.0 and index.states:
         source = f"{len(index.states)} states of pings, unrounded"
         return Whereabouts(source, "states of pings", exact=True)
     topic, why = _pose_topic(bag, index, sonar, reading)
     if topic is not None:
         return _tracked(bag, index, frame, topic, why, reading)
     if why:
-        body, mount = index.tree.fixed_above(frame)
-        return Whereabouts(f"TF of {body}{why}", "TF", mount, frame=body)
+        return _by_tf(index, frame, why, reading)
     return Whereabouts("none", _untold(reading))
+
+
+def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
+    """Poses of the frame that the sonar is fixed to, in TF's root."""
+    body, mount = index.tree.fixed_above(frame)
+    root, _ = index.tree.root_of(frame)
+    world, turn = _axes(root, body, reading)
+    axes = _said(world is not None, turn is not None)
+    if turn is not None:
+        mount = turn @ mount
+    source = f"TF of {body}{why}{axes}"
+    if reading.mount is not None:
+        return Whereabouts(source, "--mount", None, frame=body, world=world, turn=turn)
+    return Whereabouts(source, "TF", mount, frame=body, world=world, turn=turn)
 
 
 def _tracked(
@@ -77,25 +119,48 @@ def _tracked(
         track = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")], reading.max_gap_s)
     except ValueError as err:
         raise RecordingError(f"{bag.path}: {topic}: {err}") from err
-    source = f"{len(track)} on {topic}{why}"
+    base = index.posed[topic] or "base_link"
+    world, turn = _axes(index.worlds[topic], base, reading)
+    source = f"{len(track)} on {topic}{why}{_said(world is not None, turn is not None)}"
     doubts: tuple[str, ...] = ()
     if topic in index.no_poses:
         doubts = (
             f"{index.no_poses[topic]} messages of {topic} hold no pose (a number is not finite, "
             "or a quaternion has no length) and are left out",
         )
-    base = index.posed[topic] or "base_link"
+    known = Whereabouts(source, "TF", None, track, world=world, turn=turn, doubts=doubts)
+    if reading.mount is not None:
+        return replace(known, mount_source="--mount")
     mount = index.tree.in_frame(frame, base) if frame else None
     if mount is not None:
-        return Whereabouts(source, "TF", mount, track, doubts=doubts)
+        return replace(known, mount=mount if turn is None else turn @ mount)
     if index.tree.joins(frame, base):
-        return Whereabouts(source, "TF, moving", None, track, base=base, doubts=doubts)
+        return replace(known, mount_source="TF, moving", base=base)
     if reading.device is None:
         doubts += (_no_mount(index, frame, base),)
-    return Whereabouts(source, _untold(reading), None, track, doubts=doubts)
+    return replace(known, mount_source=_untold(reading), doubts=doubts)
+
+
+def _axes(world: str, body: str, reading: Reading) -> tuple[Float64 | None, Float64 | None]:
+    """What turns a pose's world and its body into ours, by their names or as the user says."""
+    if reading.convention is not None:
+        ned = frd = reading.convention == "ned"
+    else:
+        ned = world.lower() == "ned" or world.lower().endswith(("_ned", "/ned"))
+        frd = body.lower() == "frd" or body.lower().endswith(("_frd", "/frd"))
+    return ENU_FROM_NED if ned else None, FLU_FROM_FRD if frd else None
+
+
+def _said(ned: bool, frd: bool) -> str:
+    """How poses are converted, in words."""
+    worlds, bodies = "north, east, down", "forward, starboard, down"
+    named = " of a body ".join([worlds] * ned + [bodies] * frd)
+    return f"; taken as {named}" if named else ""
 
 
 def _untold(reading: Reading) -> str:
+    if reading.mount is not None:
+        return "--mount"
     return "--sonar" if reading.device is not None else "none: taken as the vehicle's own frame"
 
 

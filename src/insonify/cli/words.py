@@ -1,0 +1,111 @@
+"""What is in a recording, in the words and units of people."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+_UNITS = {
+    "_hz": ((1e6, "MHz"), (1e3, "kHz"), (0.0, "Hz")),
+    "_mps": ((0.0, "m/s"),),
+    "_m": ((1.0, "m"), (1e-2, "cm"), (0.0, "mm")),
+    "_deg_c": ((0.0, "degrees C"),),
+    "_deg": ((0.0, "degrees"),),
+    "_s": ((0.0, "s"),),
+}
+_SCALES = {"MHz": 1e6, "kHz": 1e3, "cm": 1e-2, "mm": 1e-3}
+_EPOCH_S = 3e8
+"""Clocks that say more count from 1970."""
+_MANY = 12
+"""So many parts of a fact are told one a line; of more, how many there are."""
+
+
+def summary_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Rows of a table for `insonify.io.recordings.summary.summarise`."""
+    rows = [[key, str(summary[key])] for key in ("file", "format", "pings")]
+    if summary["clock"]:
+        rows += [
+            ["first ping", _moment(summary["first_s"])],
+            ["duration", f"{summary['duration_s']:.3f} s"],
+        ]
+    else:
+        rows += [["clock", "none: pings count from 0"]]
+    for fan in summary["fans"][:_MANY]:
+        rows += _fan_rows(fan, alone=len(summary["fans"]) == 1)
+    if len(summary["fans"]) > _MANY:
+        rows.append(["more fans", str(len(summary["fans"]) - _MANY)])
+    rows.append(["pixels, of 1", f"mean {summary['pixel_mean']}, most {summary['pixel_max']}"])
+    path = f", {summary['path_m']:.3f} m of path" if summary["poses"] else ""
+    rows.append(["poses", f"{summary['poses']} of {summary['pings']} pings{path}"])
+    says = dict(summary["says"])
+    doubts = says.pop("doubts", [])
+    says["source of poses"] = says.pop("poses")
+    for key, value in says.items():
+        rows += _fact_rows(key, value)
+    return [*rows, *(["assumed", doubt] for doubt in doubts)]
+
+
+def _moment(time_s: float) -> str:
+    """A time of a clock; of one that counts from 1970, as a date."""
+    if not _EPOCH_S < time_s < 4e9:
+        return f"{time_s:.3f} s"
+    return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
+
+
+def _fan_rows(fan: dict[str, Any], *, alone: bool) -> list[list[str]]:
+    low, high = fan["bearings_deg"]
+    roll, pitch, yaw = fan["mount_rpy_deg"]
+    return [
+        ["fan" if alone else f"fan of {fan['pings']} pings",
+         f"{fan['beams']} beams x {fan['bins']} bins"],
+        ["  ranges", f"{fan['range_min_m']:.6g} to {fan['range_max_m']:.6g} m"],
+        ["  bin", quantity("bin_m", fan["bin_m"])[1]],
+        ["  azimuth", f"{_side(low)} to {_side(high)}"],
+        ["  elevation", f"{fan['elevation_deg']:g} degrees in all"],
+        ["  mount", _place(fan["mount_m"])],
+        ["  mount's roll, pitch, yaw", f"{roll:g}, {pitch:g} ({_tilt(pitch)}), {yaw:g} degrees"],
+    ]  # fmt: skip
+
+
+def _side(bearing_deg: float) -> str:
+    if abs(bearing_deg) < 0.005:
+        return "ahead"
+    return f"{abs(bearing_deg):.2f} degrees to {'starboard' if bearing_deg > 0.0 else 'port'}"
+
+
+def _place(mount_m: list[float]) -> str:
+    x, y, z = mount_m
+    return f"{x:g} m forward, {y:g} m to port, {z:g} m up"
+
+
+def _tilt(pitch_deg: float) -> str:
+    return "level" if pitch_deg == 0.0 else "looks down" if pitch_deg > 0.0 else "looks up"
+
+
+def _fact_rows(key: str, value: Any) -> list[list[str]]:
+    if value is None or value == "" or value == []:
+        return []
+    if isinstance(value, dict):
+        parts = [[f"  {name}", quantity(name, part)[1]] for name, part in value.items()]
+        return [[key.replace("_", " "), ""], *parts]
+    return [list(quantity(key, value))]
+
+
+def quantity(key: str, value: Any) -> tuple[str, str]:
+    """A figure with a unit in its name, as a name and a value for people.
+
+    Two numbers are the least and the greatest of what changes.
+    """
+    if isinstance(value, bool):
+        return key.replace("_", " "), "yes" if value else "no"
+    ending = next((one for one in _UNITS if key.endswith(one)), "")
+    name = key.removesuffix(ending).replace("_", " ")
+    numbers = value if isinstance(value, list | tuple) else [value]
+    if not all(isinstance(number, int | float) for number in numbers):
+        return name, ", ".join(map(str, numbers))
+    most = max(abs(number) for number in numbers)
+    unit = next((word for least, word in _UNITS.get(ending, ()) if most >= least), "")
+    if most == 0.0 and ending == "_m":
+        unit = "m"
+    told = " to ".join(f"{number / _SCALES.get(unit, 1.0):.6g}" for number in numbers)
+    return name, f"{told} {unit}".rstrip()
