@@ -22,6 +22,7 @@ from insonify.errors import InsonifyError
 from insonify.cli import scans
 from insonify.cli import comparisons
 from insonify.cli import recordings
+from insonify.cli import checks
 from insonify.cli import views
 from insonify.cli import reports
 from insonify.cli import plans
@@ -37,6 +38,7 @@ from insonify.cli import warming
 
 __all__ = [
     "app",
+    "checks",
     "comparisons",
     "configs",
     "datasets",

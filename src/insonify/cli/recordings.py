@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from insonify.cli.progress import progress
+from insonify.cli.reading import takes_reading
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -33,79 +33,11 @@ from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
     from insonify.config.settings import Table
-    from insonify.io.recordings.recording import Reading, Recording
+    from insonify.io.recordings.recording import Recording
     from insonify.mission.remap import Remap, Watch
     from insonify.mission.result import MapResult
     from insonify.results.map import MapConfig
-    from insonify.types import Box, Pose, PosedPing
-
-SonarOption = Annotated[
-    str | None,
-    typer.Option(
-        "--sonar",
-        metavar="NAME|FILE.toml",
-        help="The device, for what the recording does not say of it; see: sonars",
-    ),
-]
-PosesOption = Annotated[
-    Path | None, typer.Option("--poses", metavar="FILE", help="Poses in TUM format.")
-]
-OffsetOption = Annotated[
-    float,
-    typer.Option("--clock-offset", metavar="S", help="Added to ping times to find their poses."),
-]
-GapOption = Annotated[
-    float | None,
-    typer.Option(
-        "--max-gap",
-        metavar="S",
-        help="Pings between poses further apart have none; by default five times the poses' own "
-        "interval, a second at least.",
-        show_default=False,
-    ),
-]
-ScaleOption = Annotated[
-    float | None,
-    typer.Option(
-        "--scale",
-        metavar="VALUE",
-        help="The pixel that means the loudest; by default the largest of a whole number's type, "
-        "and 1 of floating ones.",
-        show_default=False,
-    ),
-]
-SonarTopicOption = Annotated[
-    str | None, typer.Option("--sonar-topic", metavar="TOPIC", help="Of a bag: the pings.")
-]
-PoseTopicOption = Annotated[
-    str | None, typer.Option("--pose-topic", metavar="TOPIC", help="Of a bag: the poses.")
-]
-
-MountOption = Annotated[
-    str | None,
-    typer.Option(
-        "--mount",
-        metavar="'X Y Z ROLL PITCH YAW'",
-        help="The sonar on the vehicle: metres forward, to port, up; degrees, a positive pitch "
-        "looks down, a positive yaw to port. Overrules the recording.",
-    ),
-]
-BeamsOption = Annotated[
-    str | None,
-    typer.Option(
-        "--beams",
-        metavar="port-to-starboard|starboard-to-port|auto",
-        help="Which way the columns run; auto: as the recording says, or as is assumed.",
-    ),
-]
-ConventionOption = Annotated[
-    str | None,
-    typer.Option(
-        "--convention",
-        metavar="enu|ned",
-        help="Axes of the poses; by default as their frames are named, else east, north, up.",
-    ),
-]
+    from insonify.types import Box, PosedPing
 
 VoxelOption = Annotated[
     float | None,
@@ -121,31 +53,19 @@ RegionOption = Annotated[
 
 
 @app.command()
+@takes_reading
 def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording: file or folder.")],
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Write its middle ping in fan view.")
     ] = None,
-    sonar: SonarOption = None,
-    poses: PosesOption = None,
-    clock_offset: OffsetOption = 0.0,
-    sonar_topic: SonarTopicOption = None,
-    pose_topic: PoseTopicOption = None,
-    max_gap: GapOption = None,
-    scale: ScaleOption = None,
-    mount: MountOption = None,
-    beams: BeamsOption = None,
-    convention: ConventionOption = None,
+    reading: Any = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
     from insonify.io.recordings import open_recording
     from insonify.io.recordings.summary import summarise
 
-    reading = reading_of(
-        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
-        convention,
-    )  # fmt: skip
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
@@ -161,24 +81,16 @@ def info(
 
 
 @app.command("map")
+@takes_reading
 def map_(
     files: Annotated[
         list[Path], typer.Argument(metavar="RECORDING...", help="Recordings: files or folders.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     mapper: MapperOption = None,
-    sonar: SonarOption = None,
     voxel: VoxelOption = None,
     region: RegionOption = None,
-    poses: PosesOption = None,
-    clock_offset: OffsetOption = 0.0,
-    sonar_topic: SonarTopicOption = None,
-    pose_topic: PoseTopicOption = None,
-    max_gap: GapOption = None,
-    scale: ScaleOption = None,
-    mount: MountOption = None,
-    beams: BeamsOption = None,
-    convention: ConventionOption = None,
+    reading: Any = None,
     settings: SetOption = None,
     config: ConfigOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
@@ -192,10 +104,6 @@ def map_(
     from insonify.results.map import save_remap
 
     full = map_config(voxel, absolute(mapper), settings, config)
-    reading = reading_of(
-        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
-        convention,
-    )  # fmt: skip
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
         with _progress() as watch:
@@ -303,58 +211,3 @@ def _result_rows(result: MapResult) -> list[list[str]]:
         ["  entropy, bits", f"{region['entropy_bits']:.0f}"],
         ["seconds", f"{sum(result.seconds.values()):.2f}"],
     ]  # fmt: skip
-
-
-def reading_of(
-    sonar: str | None,
-    poses: Path | None,
-    clock_offset_s: float,
-    sonar_topic: str | None,
-    pose_topic: str | None,
-    max_gap_s: float | None,
-    full_scale: float | None,
-    mount: str | None,
-    beams: str | None,
-    convention: str | None,
-) -> Reading:
-    """What the options say of a recording."""
-    from insonify.io.recordings.recording import BEAMS, CONVENTIONS, Reading
-    from insonify.sonar.devices import named_device
-
-    device = named_device(sonar) if sonar is not None else None
-    if max_gap_s is not None and not max_gap_s > 0.0:
-        raise ConfigError(f"--max-gap takes seconds above 0, not {max_gap_s:g}")
-    if full_scale is not None and not 0.0 < full_scale < math.inf:
-        raise ConfigError(f"--scale takes the value of the loudest echo, not {full_scale:g}")
-    if beams is not None and beams not in (*BEAMS, "auto"):
-        raise ConfigError(f"--beams takes {', '.join(BEAMS)} or auto, not {beams!r}")
-    if convention is not None and convention not in CONVENTIONS:
-        raise ConfigError(f"--convention takes {' or '.join(CONVENTIONS)}, not {convention!r}")
-    return Reading(
-        device=device,
-        poses=poses,
-        clock_offset_s=clock_offset_s,
-        sonar_topic=sonar_topic,
-        pose_topic=pose_topic,
-        max_gap_s=max_gap_s,
-        full_scale=full_scale,
-        mount=None if mount is None else _mount(mount),
-        beams=None if beams == "auto" else beams,
-        convention=convention,
-    )
-
-
-def _mount(text: str) -> Pose:
-    from insonify.types import Pose
-
-    try:
-        x, y, z, *degrees = [float(word) for word in text.replace(",", " ").split()]
-        roll, pitch, yaw = map(math.radians, degrees)
-        if max(map(abs, degrees)) > 360.0 or max(abs(x), abs(y), abs(z)) > 1000.0:
-            raise ValueError
-        return Pose(x, y, z, roll, pitch, yaw)
-    except (ValueError, GeometryError) as err:
-        raise ConfigError(
-            "--mount takes six numbers, metres forward, to port and up, then degrees of roll, "
-            f"pitch and yaw, as in '0.3 0 -0.1 0 20 0', not {text!r}"
-        ) from err

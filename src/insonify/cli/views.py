@@ -6,28 +6,13 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from insonify.cli.progress import progress
-from insonify.cli.recordings import (
-    BeamsOption,
-    ConventionOption,
-    GapOption,
-    MountOption,
-    OffsetOption,
-    PosesOption,
-    PoseTopicOption,
-    RegionOption,
-    ScaleOption,
-    SonarOption,
-    SonarTopicOption,
-    VoxelOption,
-    box_from_text,
-    map_config,
-    reading_of,
-)
+from insonify.cli.reading import takes_reading
+from insonify.cli.recordings import RegionOption, VoxelOption, box_from_text, map_config
 from insonify.cli.root import JsonOption, SetOption, app, interruptible
 
 if TYPE_CHECKING:
@@ -38,23 +23,15 @@ PortOption = Annotated[int, typer.Option(min=1, max=65535, help="First port to t
 
 
 @app.command()
+@takes_reading
 def view(
     path: Annotated[
         Path, typer.Argument(metavar="RUN|MAP|RECORDING", help="Result folder, map or recording.")
     ],
     settings: SetOption = None,
-    sonar: SonarOption = None,
     region: RegionOption = None,
     voxel: VoxelOption = None,
-    poses: PosesOption = None,
-    clock_offset: OffsetOption = 0.0,
-    sonar_topic: SonarTopicOption = None,
-    pose_topic: PoseTopicOption = None,
-    max_gap: GapOption = None,
-    scale: ScaleOption = None,
-    mount: MountOption = None,
-    beams: BeamsOption = None,
-    convention: ConventionOption = None,
+    reading: Any = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
     as_json: JsonOption = False,
@@ -65,10 +42,6 @@ def view(
 
     how = map_config(voxel, None, settings)
     box = box_from_text(region) if region is not None else None
-    reading = reading_of(
-        sonar, poses, clock_offset, sonar_topic, pose_topic, max_gap, scale, mount, beams,
-        convention,
-    )  # fmt: skip
     told = open_story(path, reading, how, box)
     page = Page(told.story, host, port)
     if as_json:

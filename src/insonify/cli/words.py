@@ -86,8 +86,9 @@ def _fact_rows(key: str, value: Any) -> list[list[str]]:
     if value is None or value == "" or value == []:
         return []
     if isinstance(value, dict):
-        parts = [[f"  {name}", quantity(name, part)[1]] for name, part in value.items()]
-        return [[key.replace("_", " "), ""], *parts]
+        parts = [["", f"{name}: {quantity(name, part)[1]}"] for name, part in value.items()]
+        parts[0][0] = key.replace("_", " ")
+        return parts
     return [list(quantity(key, value))]
 
 

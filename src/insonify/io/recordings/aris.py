@@ -20,7 +20,14 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import HEIGHT_UNKNOWN, Reading, Recording, RecordingWarning
+from insonify.io.recordings.recording import (
+    BEAMS,
+    HEIGHT_UNKNOWN,
+    Reading,
+    Recording,
+    RecordingWarning,
+    columns,
+)
 from insonify.types import Float64, Ping, PosedPing
 
 MAGIC = b"DDF\x05"
@@ -223,6 +230,7 @@ def _facts(frame: dict[str, Any], beams: int, fan: EvenFan, reading: Reading) ->
         "bearing_first_deg": round(float(-azimuths[-1]), 3),
         "bearing_last_deg": round(float(-azimuths[0]), 3),
         "beams_evened": fan.beams is not None,
+        "columns": columns(reading.beams == BEAMS[0]),
         "doubts": [] if reading.device else [HEIGHT_UNKNOWN.format(ELEVATION_DEG)],
         "poses": "none",
     }

@@ -23,6 +23,7 @@ from insonify.io.recordings.recording import (
     SIDE_UNKNOWN,
     Reading,
     Recording,
+    columns,
     scaled,
 )
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
@@ -72,7 +73,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
 
     facts = {
         "pixels": str(images.dtype),
-        "columns": "starboard to port" if starboard_first else "port to starboard",
+        "columns": columns(not starboard_first),
         "poses": "none" if poses is None else f"{len(poses)} in the file",
         "doubts": doubts,
     }

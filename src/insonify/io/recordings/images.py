@@ -24,6 +24,7 @@ from insonify.io.recordings.recording import (
     Reading,
     Recording,
     RecordingWarning,
+    columns,
     scaled,
     with_poses,
 )
@@ -72,7 +73,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
     facts = {
         "device": device.name,
         "pixels": str(first.dtype),
-        "columns": "starboard to port" if mirrored else "port to starboard",
+        "columns": columns(not mirrored),
         "poses": "none",
         "doubts": doubts,
     }

@@ -21,10 +21,12 @@ import numpy as np
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
 from insonify.io.recordings.recording import (
+    BEAMS,
     HEIGHT_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
+    columns,
     scaled,
     span,
 )
@@ -106,7 +108,10 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
     fan = _fan(path, first, reading)
     if reading.device is None:
         doubts.append(HEIGHT_UNKNOWN.format(math.degrees(fan.geometry.elevation_fov_rad)))
-    facts = _facts(messages, fan) | {"doubts": doubts}
+    facts = _facts(messages, fan) | {
+        "columns": columns(reading.beams != BEAMS[1]),
+        "doubts": doubts,
+    }
     return Recording(path, "Oculus simple ping results", len(messages), False, facts, read)
 
 

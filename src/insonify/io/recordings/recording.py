@@ -111,6 +111,11 @@ class Recording:
             raise RecordingError(f"{self.path}: {err}") from err
 
 
+def columns(port_first: bool) -> str:
+    """Which way the columns of images are taken to run, in words."""
+    return BEAMS[not port_first].replace("-", " ")
+
+
 def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
     """A ping that tells all of itself, as the user says that it is instead."""
     ping = posed.ping

@@ -8,7 +8,14 @@ from pathlib import Path
 
 from insonify.errors import RecordingError
 from insonify.io.pings import is_sweep, load_ping
-from insonify.io.recordings.recording import Reading, Recording, RecordingWarning, corrected
+from insonify.io.recordings.recording import (
+    BEAMS,
+    Reading,
+    Recording,
+    RecordingWarning,
+    columns,
+    corrected,
+)
 from insonify.types import PosedPing
 
 PINGS = "pings"
@@ -41,5 +48,8 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
                 continue
             yield corrected(posed, reading)
 
-    facts = {"poses": f"{len(files)}, where they were simulated"}
+    facts = {
+        "poses": f"{len(files)}, where they were simulated",
+        "columns": columns(reading.beams != BEAMS[1]),
+    }
     return Recording(path, "result of simulate", len(files), True, facts, read, exact=True)

@@ -20,7 +20,7 @@ from PIL import Image
 
 from insonify.frames import compose, pose_from_transform
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading
+from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading, columns
 from insonify.io.recordings.ros.directions import BeamPlane, beam_plane
 from insonify.io.recordings.ros.messages import DTYPES
 from insonify.types import Array, Float64, Ping, Pose
@@ -70,8 +70,8 @@ class PingDecoder:
             ours: Whether insonify wrote them, so that frames are those of the definition.
         """
         self.doubts: list[str] = []
-        self.axes = ""
-        self._shape, self._reading = shape, reading
+        self.axes = self.columns = ""
+        self._shape, self.reading = shape, reading
         self._mount: Float64 | None = None
         self._ours = ours
         self._framed = framed or mount is not None
@@ -91,7 +91,7 @@ class PingDecoder:
             ValueError: What it says of itself does not fit together.
         """
         pixels, fan = getattr(self, f"_{self._shape}")(message)
-        return Ping(fan.image(pixels, self._reading.full_scale), fan.geometry, time_s)
+        return Ping(fan.image(pixels, self.reading.full_scale), fan.geometry, time_s)
 
     def pixels(self, message: Any) -> Array:
         """The image of a message, (bins, beams), as it lies in it, scaled by nothing.
@@ -178,12 +178,12 @@ class PingDecoder:
             return pose_from_transform(self._mount @ turned)
         if frame_from_custom is not None:
             turned = frame_from_custom.T @ turned
-        seat = self._reading.seat
+        seat = self.reading.seat
         return seat if (turned == np.eye(4)).all() else compose(seat, pose_from_transform(turned))
 
     def _note_axes(self, mount: Pose, plane: BeamPlane) -> None:
         up = -math.sin(mount.pitch_rad)
-        told = self._framed or self._ours or self._reading.beams is not None
+        told = self._framed or self._ours or self.reading.beams is not None
         if not told and len(plane.azimuths_rad) > 1:
             self._doubt(
                 f"the directions of its beams lie {plane.custom}, as is assumed, since nothing "
@@ -205,7 +205,9 @@ class PingDecoder:
         self, key: Any, azimuths: Float64, ranges: Float64, height: float, mount: Pose
     ) -> None:
         """Keep the fan of beams at azimuths in the order of the image."""
-        mirrored = self._reading.mirrors(port_first=bool(azimuths[0] >= azimuths[-1]))
+        port_first = bool(azimuths[0] >= azimuths[-1])
+        mirrored = self.reading.mirrors(port_first)
+        self.columns = columns(port_first ^ mirrored)
         order = np.argsort(-azimuths, kind="stable")
         fan = even_fan(azimuths[order], ranges, height, mount, mirrored=mirrored)
         self._fans[key] = fan.reordered(order)
@@ -213,8 +215,8 @@ class PingDecoder:
     def _elevation(self, told_rad: float) -> float:
         if told_rad > 0.0:
             return told_rad
-        if self._reading.device is not None:
-            return math.radians(self._reading.device.elevation_fov_deg)
+        if self.reading.device is not None:
+            return math.radians(self.reading.device.elevation_fov_deg)
         self._doubt(HEIGHT_UNKNOWN.format(ELEVATION_DEG))
         return math.radians(ELEVATION_DEG)
 

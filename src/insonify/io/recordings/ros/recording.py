@@ -9,9 +9,11 @@ from typing import Any
 from insonify.errors import RecordingError, reason
 from insonify.io.recordings.beams import PixelError, unit_pixels
 from insonify.io.recordings.recording import (
+    BEAMS,
     Reading,
     Recording,
     RecordingWarning,
+    columns,
     corrected,
     scaled,
 )
@@ -75,6 +77,7 @@ def _facts(index: Index, topic: str, poses: Whereabouts, decoder: PingDecoder) -
         "sonar_frame": index.frames.get(topic, ""),
         "mount": poses.mount_source,
         "beams": decoder.axes,
+        "columns": decoder.columns or columns(decoder.reading.beams != BEAMS[1]),
         "poses": poses.source,
         "doubts": [*poses.doubts, *decoder.doubts],
     }
