@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -50,6 +50,11 @@ class Pose:
     def position_m(self) -> tuple[float, float, float]:
         """The position alone."""
         return (self.x_m, self.y_m, self.z_m)
+
+    def moved(self, by_m: tuple[float, float, float], sign: float = 1.0) -> Pose:
+        """The pose moved by a vector of the world, or by its opposite."""
+        x, y, z = (c + sign * shift for c, shift in zip(self.position_m, by_m, strict=True))
+        return replace(self, x_m=x, y_m=y, z_m=z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +143,15 @@ class Box:
         """A box from two corners of any kind of sequence."""
         (x0, y0, z0), (x1, y1, z1) = map(float, low_m), map(float, high_m)
         return cls((x0, y0, z0), (x1, y1, z1))
+
+    def moved(self, by_m: tuple[float, float, float], sign: float = 1.0) -> Box:
+        """The box moved by a vector, or by its opposite."""
+        shifts = [sign * c for c in by_m]
+        low, high = (
+            [c + shift for c, shift in zip(corner, shifts, strict=True)]
+            for corner in (self.low_m, self.high_m)
+        )
+        return Box.of(low, high)
 
     def grown(self, margin_m: float) -> Box:
         """The box with ``margin_m`` added on every side."""

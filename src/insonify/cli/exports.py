@@ -28,6 +28,12 @@ def export(
             metavar="'LAT LON'", help="Where the origin lies, degrees (WGS 84); for .tif."
         ),
     ] = None,
+    epsg: Annotated[
+        int | None,
+        typer.Option(
+            metavar="CODE", min=1024, max=32767, help="Reference system of x and y; for .tif."
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -39,7 +45,7 @@ def export(
     place = datum_from_text(datum) if datum is not None else None
     voxels = load_map(source)
     with result_file(target, force=force) as scratch:
-        save_map(voxels, scratch, datum=place)
+        save_map(voxels, scratch, datum=place, epsg=epsg)
     files = [path for path in (target, *target.rglob("*")) if path.is_file()]
     row = {
         "file": str(target),

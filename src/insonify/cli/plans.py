@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -72,13 +73,17 @@ def plan(
     from insonify.planning.once import plan_next
     from insonify.results.map import load_mapper
 
-    pose = _pose(from_)
+    told = _pose(from_)
     place = datum_from_text(datum) if datum is not None else None
     entropy = _entropy(settings)
     file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
     mapper = load_mapper(map_)
     device = _device(file, sonar)
-    box = box_from_text(region) if region is not None else _region(file, mapper.voxels)
+    origin_m = mapper.voxels.origin_m
+    pose = told.moved(origin_m, -1.0)
+    box = _region(file, mapper.voxels)
+    if region is not None:
+        box = box_from_text(region).moved(origin_m, -1.0)
     decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
     _write(mapper.voxels, decision, pose, box, place, out, force=force, as_json=as_json)
 
@@ -99,11 +104,11 @@ def _write(
     from insonify.io.plans import save_plan
     from insonify.planning.once import clearance_m
 
-    document = _describe(decision, pose, region)
+    document = _describe(decision, pose, region, voxels.origin_m)
     with result_folder(out, force=force) as folder:
         if decision.path is not None:
             document["clearance_m"] = round(clearance_m(voxels, pose, decision.path), 3)
-            document["files"] = save_plan(decision.path, folder.scratch, place)
+            document["files"] = save_plan(decision.path, folder.scratch, place, voxels.origin_m)
             (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
     if as_json:
         print(json.dumps(document, indent=2))
@@ -174,7 +179,7 @@ def _region(file: Path, voxels: VoxelMap) -> Box:
     except ResultError:
         return voxels.around_occupied()
     if isinstance(result, MapResult | ScanResult) and result.region_m is not None:
-        return Box.of(*result.region_m)
+        return Box.of(*result.region_m).moved(voxels.origin_m, -1.0)
     return voxels.around_occupied()
 
 
@@ -191,17 +196,24 @@ def _scan_config(file: Path) -> Config | None:
     return scenario_config(str(table["scenario"]), [table])
 
 
-def _describe(decision: Decision, pose: Pose, region: Box) -> dict[str, Any]:
+def _describe(
+    decision: Decision, pose: Pose, region: Box, origin_m: tuple[float, float, float]
+) -> dict[str, Any]:
+    """A decision in the world's coordinates."""
+
+    def world(place: Sequence[float]) -> list[float]:
+        return [round(c + o, 4) for c, o in zip(place, origin_m, strict=True)]
+
     document: dict[str, Any] = {
-        "from": [*pose.position_m, round(math.degrees(pose.yaw_rad), 6)],
-        "region_m": [list(region.low_m), list(region.high_m)],
+        "from": [*world(pose.position_m), round(math.degrees(pose.yaw_rad), 6)],
+        "region_m": [world(region.low_m), world(region.high_m)],
         "stop": decision.stop.sentence if decision.stop is not None else None,
     }
     look = decision.look
     if look is not None:
         document |= {
             "cluster_voxels": len(look.cluster.voxels_m),
-            "cluster_centre_m": [round(c, 4) for c in look.cluster.centre_m],
+            "cluster_centre_m": world(look.cluster.centre_m),
             "cluster_entropy_bits": round(look.cluster.entropy, 2),
             "best_candidate": look.best,
             "best_share": round(float(look.h_cluster[look.best] / look.cluster.entropy), 4),
@@ -209,7 +221,7 @@ def _describe(decision: Decision, pose: Pose, region: Box) -> dict[str, Any]:
     if decision.path is not None:
         start = decision.path.waypoints[0]
         document |= {
-            "start": [*(round(c, 4) for c in start.position_m), math.degrees(start.yaw_rad)],
+            "start": [*world(start.position_m), math.degrees(start.yaw_rad)],
             "length_m": round(decision.path.length_m, 4),
             "transit_m": round(math.dist(pose.position_m, start.position_m), 4),
             "waypoints": len(decision.path.waypoints),

@@ -180,7 +180,7 @@ def box_from_text(text: str) -> Box:
         raise GeometryError(
             f"--region takes six numbers in metres, as in '-5 -5 -20 5 5 -15', not {text!r}"
         ) from err
-    if not (x0 < x1 and y0 < y1 and z0 < z1) or max(map(abs, numbers)) > 1e6:
+    if not (x0 < x1 and y0 < y1 and z0 < z1) or max(map(abs, numbers)) > 1e9:
         raise GeometryError(f"--region {text!r}: its second corner must lie above its first")
     return Box((x0, y0, z0), (x1, y1, z1))
 

@@ -28,6 +28,9 @@ PARTS = (
 )
 """Files that are read back, or looked at, as parts of the result they lie with."""
 
+BESIDE = ".origin.json"
+"""Ends the name of the file that tells a map's origin where its format cannot."""
+
 
 @dataclass(slots=True)
 class ResultFolder:
@@ -107,12 +110,14 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
     """A scratch path of the same name that becomes ``target`` when the block ends well.
 
     It may be made a file or, for formats that are folders, a folder.  With ``force`` a file, or a
-    folder of the same format (a Zarr group), is replaced.
+    folder of the same format (a Zarr group), is replaced.  A file that tells the origin of a map
+    (`insonify.io.maps.sidecar`) belongs to it.
 
     Raises:
         OutputError: ``target`` exists and may not be replaced, or it cannot be written.
     """
-    exists = os.path.lexists(target)
+    beside = f"{target.name}{BESIDE}"
+    exists = os.path.lexists(target) or (target.parent / beside).is_file()
     if exists and not force:
         raise OutputError(f"{target}: already exists; give another name, or --force to replace it")
     if target.is_dir() and not (target / "zarr.json").is_file():
@@ -128,6 +133,10 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         if target.is_dir() and not target.is_symlink():
             target.rename(scratch / f"{target.name}.replaced")
         (scratch / target.name).replace(target)
+        if (scratch / beside).is_file():
+            (scratch / beside).replace(target.parent / beside)
+        else:
+            (target.parent / beside).unlink(missing_ok=True)
     except OSError as err:
         if not _is_about(err, scratch, target):
             raise

@@ -1,7 +1,7 @@
 """A scan path for real vehicles: CSV, GeoJSON, ROS nav_msgs/Path, QGroundControl.
 
 The map's frame is ENU.  A datum, the latitude, longitude and height of its origin on WGS 84, turns
-its coordinates into geodetic ones.
+its coordinates into geodetic ones.  Local ones are told in the world, the map's origin added.
 """
 
 from __future__ import annotations
@@ -26,8 +26,19 @@ def heading_deg(pose: Pose) -> float:
     return (90.0 - math.degrees(pose.yaw_rad)) % 360.0
 
 
-def save_plan(path: ScanPath, folder: Path, datum: Datum | None) -> list[str]:
+def save_plan(
+    path: ScanPath,
+    folder: Path,
+    datum: Datum | None,
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> list[str]:
     """Write a path in every form; GeoJSON and QGroundControl's need a datum.
+
+    Args:
+        path: In the map's own frame.
+        folder: Where to.
+        datum: Where the map's own frame lies on the Earth.
+        origin_m: Where it lies in the world.
 
     Returns:
         The names of the files.
@@ -38,29 +49,30 @@ def save_plan(path: ScanPath, folder: Path, datum: Datum | None) -> list[str]:
     from insonify.io.recordings.ros import messages
     from insonify.io.recordings.ros.mcap_writing import McapWriter
 
-    texts = {"path.csv": _csv(path, datum), "path.yaml": _ros_yaml(path)}
+    world = ScanPath(tuple(pose.moved(origin_m) for pose in path.waypoints))
+    texts = {"path.csv": _csv(path, world, datum), "path.yaml": _ros_yaml(world)}
     if datum is not None:
         texts["path.geojson"] = json.dumps(_geojson(path, datum), indent=2) + "\n"
         texts["path.plan"] = json.dumps(_qgroundcontrol(path, datum), indent=2) + "\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     with McapWriter(folder / "path.mcap") as writer:
-        writer.write("/plan", messages.path(path.waypoints, 0, "map"), 0)
+        writer.write("/plan", messages.path(world.waypoints, 0, "map"), 0)
     return sorted([*texts, "path.mcap"])
 
 
-def _csv(path: ScanPath, datum: Datum | None) -> str:
+def _csv(path: ScanPath, world: ScanPath, datum: Datum | None) -> str:
     names = ["number", "x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "heading_deg"]
     if datum is not None:
         names += ["latitude_deg", "longitude_deg", "height_m"]
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")
     rows.writerow(names)
-    for number, pose in enumerate(path.waypoints, 1):
+    for number, (local, pose) in enumerate(zip(path.waypoints, world.waypoints, strict=True), 1):
         angles = (math.degrees(a) for a in (pose.roll_rad, pose.pitch_rad, pose.yaw_rad))
         row = [f"{c:.6f}" for c in (*pose.position_m, *angles, heading_deg(pose))]
         if datum is not None:
-            latitude, longitude, height = datum.geodetic(pose)
+            latitude, longitude, height = datum.geodetic(local)
             row += [f"{latitude:.9f}", f"{longitude:.9f}", f"{height:.4f}"]
         rows.writerow([number, *row])
     return stream.getvalue()

@@ -72,18 +72,31 @@ class VoxelWindow:
 
 
 class VoxelMap:
-    """Blocks of voxels, allocated when first touched."""
+    """Blocks of voxels, allocated when first touched.
 
-    def __init__(self, voxel_m: float, store: BlockStore | None = None) -> None:
+    Attributes:
+        voxel_m: Edge length of a voxel.
+        origin_m: Where the map's own frame lies in the world, so that small numbers do for places
+            far away: all that a map takes and tells is relative to it.
+    """
+
+    def __init__(
+        self,
+        voxel_m: float,
+        store: BlockStore | None = None,
+        origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
         """An empty map, or the map of a store.
 
         Args:
             voxel_m: Edge length of a voxel.
             store: Where the blocks are kept; in memory by default.
+            origin_m: See the attribute.
         """
         if not 0.0 < voxel_m < float("inf"):
             raise ValueError(f"voxel_m must be positive and finite, not {voxel_m}")
         self.voxel_m = voxel_m
+        self.origin_m = origin_m
         self._store: BlockStore = MemoryStore() if store is None else store
 
     @property

@@ -28,13 +28,15 @@ MOST_REGION_VOXELS = 150_000_000
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * BYTES_PER_VOXEL
 _ABOVE_WATER_M = 0.5
 """A vehicle that never comes lower is in doubt; at the surface it may well be less."""
+_FAR_M, _ORIGIN_STEP_M = 10_000.0, 1000.0
+"""Coordinates beyond are told from an origin of the map, rounded to so much."""
 _GROWTH = 3
 """Memory at a moment when the map's arrays double: the old ones and the new."""
 
 
 @dataclass(slots=True, eq=False)
 class Remap:
-    """A map made of recordings, and what went into it.
+    """A map made of recordings, and what went into it, in the map's own frame.
 
     Attributes:
         settings: How it was mapped.
@@ -62,6 +64,7 @@ class Remap:
         """Its figures."""
         window = self.mapper.voxels.window(self.region)
         legs = pairwise(self.poses)
+        region = self.region.moved(self.mapper.voxels.origin_m)
         return MapResult(
             mapper=self.mapper.name,
             recordings=tuple(self.sources),
@@ -71,7 +74,8 @@ class Remap:
             fans=tuple(describe_fan(fan) for fan in self.fans),
             mapping=self.settings.model_dump(),
             occupied_voxels=int((self.mapper.voxels.log_odds > 0.0).sum()),
-            region_m=(self.region.low_m, self.region.high_m),
+            origin_m=self.mapper.voxels.origin_m,
+            region_m=(region.low_m, region.high_m),
             region={
                 "voxels": window.seen.size,
                 "in_view": int((window.seen > 0).sum()),
@@ -113,6 +117,10 @@ def map_recordings(
         mapper = make_mapper("bayes", settings)
     check_voxels(mapper, settings)
     remap = Remap(settings, mapper)
+    origin_m = _origin(recordings, mapper.voxels.block_m)
+    mapper.voxels.origin_m = origin_m
+    if region is not None:
+        region = region.moved(origin_m, -1.0)
     for recording in recordings:
         _map_one(remap, recording, watch, should_stop)
         remap.mapper.finish_scan()
@@ -131,12 +139,31 @@ def map_recordings(
     return remap
 
 
+def _origin(recordings: Sequence[Recording], block_m: float) -> tuple[float, float, float]:
+    """Where the map's frame lies: 0, or near the first pose if that is far away.
+
+    A whole number of blocks from 0, so that voxels lie as they would without it.
+    """
+    for recording in recordings:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RecordingWarning)
+            first = next((one.pose for one in recording if one.pose is not None), None)
+        if first is not None:
+            step_m = block_m * math.ceil(_ORIGIN_STEP_M / block_m)
+            x, y, z = (
+                step_m * round(c / step_m) if abs(c) > _FAR_M else 0.0 for c in first.position_m
+            )
+            return x, y, z
+    return 0.0, 0.0, 0.0
+
+
 def _map_one(
     remap: Remap, recording: Recording, watch: Watch, should_stop: Callable[[], bool]
 ) -> None:
     kept = {(2 * k + 1) * recording.count // (2 * KEPT_PINGS) for k in range(KEPT_PINGS)}
     pings = mapped = 0
-    for posed in _timed(remap, recording):
+    for told in _timed(remap, recording):
+        posed = _moved(told, remap.mapper.voxels.origin_m)
         since = time.perf_counter()
         pings += 1
         if posed.pose is not None:
@@ -155,7 +182,7 @@ def _map_one(
         raise RecordingError(f"{recording.path}: there are no pings in it")
     if mapped == 0:
         raise RecordingError(_no_pose(recording, pings))
-    doubts = [*recording.facts.get("doubts", ()), *_above_water(recording, remap.poses[-mapped:])]
+    doubts = [*recording.facts.get("doubts", ()), *_above_water(recording, remap, mapped)]
     for doubt in doubts:
         warnings.warn(f"{recording.path}: {doubt}", RecordingWarning, stacklevel=3)
     if mapped < pings:
@@ -177,9 +204,23 @@ def _map_one(
     )
 
 
-def _above_water(recording: Recording, poses: Sequence[Pose]) -> list[str]:
-    """A doubt of poses that all lie above 0, unless they are known to be heights."""
-    lowest, highest = min(pose.z_m for pose in poses), max(pose.z_m for pose in poses)
+def _moved(posed: PosedPing, origin_m: tuple[float, float, float]) -> PosedPing:
+    """A ping in the map's own frame."""
+    if posed.pose is None or not any(origin_m):
+        return posed
+    true = posed.true_pose
+    return replace(
+        posed,
+        pose=posed.pose.moved(origin_m, -1.0),
+        true_pose=None if true is None else true.moved(origin_m, -1.0),
+    )
+
+
+def _above_water(recording: Recording, remap: Remap, mapped: int) -> list[str]:
+    """A doubt of the last poses if they all lie above 0, unless they are known to be heights."""
+    up_m = remap.mapper.voxels.origin_m[2]
+    heights = [pose.z_m + up_m for pose in remap.poses[-mapped:]]
+    lowest, highest = min(heights), max(heights)
     if recording.exact or lowest < _ABOVE_WATER_M:
         return []
     return [

@@ -96,6 +96,9 @@ class MapResult(Result):
     brightest_pixel: float | None = Field(None, description="of 1; older files do not tell")
     fans: tuple[Table, ...]
     mapping: Table
+    origin_m: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="of the map's own frame, in the world"
+    )
     occupied_voxels: int
     region_m: tuple[tuple[float, float, float], tuple[float, float, float]]
     region: dict[str, float]

@@ -31,7 +31,8 @@ def write_map_report(remap: Remap, path: Path) -> None:
             for name, number, posed in remap.keyframes
         ],
         settings=json.dumps(
-            {key: told[key] for key in ("mapper", "mapping", "region_m", "fans")}, indent=2
+            {key: told[key] for key in ("mapper", "mapping", "origin_m", "region_m", "fans")},
+            indent=2,
         ),
     )
     path.write_text(page, encoding="utf-8")

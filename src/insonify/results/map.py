@@ -49,7 +49,7 @@ def save_remap(remap: Remap, folder: Path, config: MapConfig) -> MapResult:
     save_mapper(remap.mapper, folder)
     save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, remap.region)
     window = voxels.window(remap.region)
-    low_m = np.array(window.first) * window.voxel_m
+    low_m = np.array(window.first) * window.voxel_m + voxels.origin_m
     np.savez_compressed(
         folder / "entropy.npz",
         entropy_bits=entropy_map(window),

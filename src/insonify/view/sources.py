@@ -84,6 +84,8 @@ def map_story(path: Path, region: Box | None = None) -> Story:
     """
     voxels = load_map(path)
     story = Story(path.resolve().name)
+    if region is not None:
+        region = region.moved(voxels.origin_m, -1.0)
     story.add_map(voxels, region or voxels.around_occupied())
     return story
 
@@ -204,7 +206,8 @@ def _tell_recording(
         story.add_ping(posed)
         voxels = remap.mapper.voxels
         if voxels.block_count and story.maps.wants(number):
-            story.add_map(voxels, region or voxels.around_occupied())
+            shown = None if region is None else region.moved(voxels.origin_m, -1.0)
+            story.add_map(voxels, shown or voxels.around_occupied())
         story.changed()
         watch(number, recording.count)
 

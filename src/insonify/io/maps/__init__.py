@@ -37,7 +37,9 @@ _SAVERS: dict[str, Callable[[VoxelMap, Path], None]] = {
 SAVED = tuple(_SAVERS)
 
 
-def save_map(voxels: VoxelMap, path: Path | str, *, datum: Datum | None = None) -> None:
+def save_map(
+    voxels: VoxelMap, path: Path | str, *, datum: Datum | None = None, epsg: int | None = None
+) -> None:
     """Write a map in the format that the suffix of ``path`` names.
 
     Args:
@@ -45,6 +47,7 @@ def save_map(voxels: VoxelMap, path: Path | str, *, datum: Datum | None = None) 
         path: ``.npz`` and ``.zarr`` keep all of it, ``.ot`` and ``.bt`` what OctoMap can hold;
             ``.ply``, ``.glb``, ``.stl``, ``.tif``, ``.xyz`` and ``.vdb`` are for other programs.
         datum: Where the origin lies, for ``.tif``.
+        epsg: Or which reference system x and y are of.
 
     Raises:
         OutputError: There is no such format, or the map cannot be written in it.
@@ -56,12 +59,14 @@ def save_map(voxels: VoxelMap, path: Path | str, *, datum: Datum | None = None) 
             f"{path.name}: there is no map format {path.suffix!r}; name a file that ends in one of "
             f"{', '.join(SAVED)}"
         )
-    if datum is not None and path.suffix != ".tif":
-        raise OutputError(f"{path.name}: only a GeoTIFF (.tif) takes a datum; leave it out")
-    if datum is not None:
-        save_geotiff(voxels, path, datum)
-    else:
+    if datum is None and epsg is None:
         _SAVERS[path.suffix](voxels, path)
+        return
+    if path.suffix != ".tif":
+        raise OutputError(f"{path.name}: only a GeoTIFF (.tif) takes a datum or EPSG code")
+    if datum is not None and epsg is not None:
+        raise OutputError(f"{path.name}: takes a datum or an EPSG code, not both")
+    save_geotiff(voxels, path, datum, epsg)
 
 
 def load_map(path: Path | str, region: Box | None = None) -> VoxelMap:

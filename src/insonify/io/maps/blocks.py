@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from insonify.mapping.voxels import (
 from insonify.types import Array, Box, Int64
 
 MOST_LOG_ODDS = 100.0
+FARTHEST_ORIGIN_M = 1e9
 
 
 def ascending(voxels: VoxelMap) -> Int64:
@@ -28,7 +31,7 @@ def ascending(voxels: VoxelMap) -> Int64:
 
 
 def map_from_blocks(
-    path: Path, voxel_m: float, coords: Array, log_odds: Array, seen: Array
+    path: Path, voxel_m: float, coords: Array, log_odds: Array, seen: Array, origin_m: Array
 ) -> VoxelMap:
     """A map of the blocks that a file holds.
 
@@ -38,6 +41,7 @@ def map_from_blocks(
         coords: (blocks, 3) integers.
         log_odds: (blocks, 512) floats.
         seen: (blocks, 512) unsigned integers.
+        origin_m: (3,) the map's own frame in the world.
 
     Raises:
         MapFileError: They make no sense.
@@ -56,17 +60,32 @@ def map_from_blocks(
         raise MapFileError(f"{path}: damaged, its blocks make no sense")
     if np.abs(log_odds).max(initial=0.0) > MOST_LOG_ODDS:
         raise MapFileError(f"{path}: damaged, it holds log-odds beyond {MOST_LOG_ODDS:g}")
-    voxels = VoxelMap(voxel_m)
+    voxels = VoxelMap(voxel_m, origin_m=origin_of(path, origin_m))
     slots = voxels.allocate(coords.astype(np.int32))
     voxels.log_odds[slots] = log_odds
     voxels.seen[slots] = seen
     return voxels
 
 
+def origin_of(path: Path, told: Any) -> tuple[float, float, float]:
+    """The origin that a file tells, three finite numbers.
+
+    Raises:
+        MapFileError: It is no place.
+    """
+    try:
+        x, y, z = (float(c) for c in told)
+    except (TypeError, ValueError) as err:
+        raise MapFileError(f"{path}: damaged, its origin is no place ({err})") from err
+    if not all(math.isfinite(c) and abs(c) < FARTHEST_ORIGIN_M for c in (x, y, z)):
+        raise MapFileError(f"{path}: damaged, its origin {(x, y, z)} is no place")
+    return x, y, z
+
+
 def cropped(voxels: VoxelMap, region: Box) -> VoxelMap:
     """The part of a map whose blocks touch a box."""
     kept = touching(voxels.coords, voxels.block_m, region)
-    part = VoxelMap(voxels.voxel_m)
+    part = VoxelMap(voxels.voxel_m, origin_m=voxels.origin_m)
     slots = part.allocate(voxels.coords[kept])
     part.log_odds[slots] = voxels.log_odds[kept]
     part.seen[slots] = voxels.seen[kept]

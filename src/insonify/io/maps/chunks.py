@@ -50,8 +50,9 @@ _DAMAGE = (
 def save_zarr(voxels: VoxelMap, path: Path) -> None:
     """Write a map as a new Zarr group.
 
-    Attributes ``format``, ``version``, ``voxel_m``; arrays ``coords`` (blocks, 3) int32,
-    ``log_odds`` (blocks, 512) float32 and ``seen`` (blocks, 512) uint8, as in `save_npz`.
+    Attributes ``format``, ``version``, ``voxel_m`` and, if there is one, ``origin_m``; arrays
+    ``coords`` (blocks, 3) int32, ``log_odds`` (blocks, 512) float32 and ``seen`` (blocks, 512)
+    uint8, as in `save_npz`.
 
     Raises:
         MissingExtraError: The package zarr is not installed.
@@ -59,6 +60,8 @@ def save_zarr(voxels: VoxelMap, path: Path) -> None:
     zarr = optional("zarr", "maps", "a .zarr map")
     order = np.argsort(interleave(voxels.coords.astype(np.int64) + FARTHEST_BLOCK, bits=21))
     about = {"format": FORMAT, "version": VERSION, "voxel_m": voxels.voxel_m}
+    if any(voxels.origin_m):
+        about["origin_m"] = list(voxels.origin_m)
     group = zarr.create_group(path, zarr_format=3, attributes=about)
     for name, (kind, width, rows, nothing) in _ARRAYS.items():
         array = group.create_array(
@@ -89,6 +92,7 @@ def load_zarr(path: Path, region: Box | None = None) -> VoxelMap:
                 f"{path}: not a version {VERSION} insonify map; write it again with this version"
             )
         voxel_m = float(group.attrs["voxel_m"])
+        origin_m = group.attrs.get("origin_m", (0.0, 0.0, 0.0))
         arrays = {name: group[name] for name in _ARRAYS}
         _check_layout(path, arrays)
         coords = arrays["coords"][:]
@@ -100,7 +104,7 @@ def load_zarr(path: Path, region: Box | None = None) -> VoxelMap:
     except _DAMAGE as err:
         reason = " ".join(str(err).split())
         raise MapFileError(f"{path}: damaged, or not an insonify map ({reason:.200})") from err
-    return map_from_blocks(path, voxel_m, coords[rows], log_odds, seen)
+    return map_from_blocks(path, voxel_m, coords[rows], log_odds, seen, origin_m)
 
 
 def _check_layout(path: Path, arrays: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from insonify.errors import OutputError
 from insonify.extras import optional
 from insonify.io.datum import Datum
 from insonify.io.maps.heights import height_grid
@@ -18,17 +19,25 @@ _BANDS = """<GDALMetadata>
 _ASCII, _SHORT, _DOUBLE = 2, 3, 12
 
 
-def save_geotiff(voxels: VoxelMap, path: Path, datum: Datum | None = None) -> None:
+def save_geotiff(
+    voxels: VoxelMap, path: Path, datum: Datum | None = None, epsg: int | None = None
+) -> None:
     """Write the heights of a map.
 
-    Without a datum the file has our x and y and no reference system.  With one they are a
+    Without a datum the file has the world's x and y, and no reference system unless ``epsg`` is
+    the code of one that they are of, as 32632 of UTM 32 N.  With one they are a
     transverse Mercator projection about the datum, scale 1: within a centimetre of the local
     plane up to 10 km away, at the datum's height.
 
     Raises:
-        OutputError: No voxel is occupied.
+        OutputError: No voxel is occupied, or a map with an origin is given a datum.
         MissingExtraError: The package tifffile is not installed.
     """
+    if datum is not None and any(voxels.origin_m):
+        raise OutputError(
+            f"{path.name}: the map has an origin at {voxels.origin_m} m, so its coordinates are of "
+            "a system of their own; say which (--epsg) instead of a datum"
+        )
     tifffile = optional("tifffile", "maps", "a GeoTIFF")
     grid = height_grid(voxels, path)
     scale = (grid.cell_m, grid.cell_m, 0.0)
@@ -47,7 +56,9 @@ def save_geotiff(voxels: VoxelMap, path: Path, datum: Datum | None = None) -> No
         compression="zlib",
         metadata=None,
         software="insonify",
-        extratags=tags + (_projection(datum) if datum is not None else []),
+        extratags=tags
+        + (_projection(datum) if datum is not None else [])
+        + (_registered(epsg) if epsg is not None else []),
     )
 
 
@@ -63,3 +74,9 @@ def _projection(datum: Datum) -> list[tuple[int, int, int, object, bool]]:
         (34735, _SHORT, len(directory), directory, True),
         (34736, _DOUBLE, len(doubles), doubles, True),
     ]
+
+
+def _registered(epsg: int) -> list[tuple[int, int, int, object, bool]]:
+    """The GeoTIFF keys of a projected system of the EPSG's register."""
+    directory = (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, epsg)
+    return [(34735, _SHORT, len(directory), directory, True)]

@@ -74,13 +74,14 @@ def height_grid(voxels: VoxelMap, path: Path) -> HeightGrid:
     moment = np.bincount(which, weight * (index[:, 2] - top[which]) ** 2)
     square = moment / np.bincount(which, weight) + 1.0 / 12.0
     places = index[np.flatnonzero(column), :2]
-    return _grid(path, voxels.voxel_m, places[columns], top[columns], np.sqrt(square[columns]))
+    return _grid(path, voxels, places[columns], top[columns], np.sqrt(square[columns]))
 
 
 def _grid(
-    path: Path, voxel_m: float, places: np.ndarray, top: np.ndarray, spread: np.ndarray
+    path: Path, voxels: VoxelMap, places: np.ndarray, top: np.ndarray, spread: np.ndarray
 ) -> HeightGrid:
     """Columns (N, 2) laid out as a grid, rows from north to south."""
+    voxel_m, (east_m, north_m, up_m) = voxels.voxel_m, voxels.origin_m
     low = places.min(axis=0)
     width, height = (np.ptp(places, axis=0) + 1).tolist()
     if width * height > MOST_CELLS:
@@ -90,10 +91,14 @@ def _grid(
         )
     heights, spreads = np.full((2, height, width), np.nan, np.float32)
     rows, columns = height - 1 - (places[:, 1] - low[1]), places[:, 0] - low[0]
-    heights[rows, columns] = (top + 0.5) * voxel_m
+    heights[rows, columns] = (top + 0.5) * voxel_m + up_m
     spreads[rows, columns] = spread * voxel_m
     return HeightGrid(
-        float(low[0] * voxel_m), float((low[1] + height) * voxel_m), voxel_m, heights, spreads
+        float(low[0] * voxel_m) + east_m,
+        float((low[1] + height) * voxel_m) + north_m,
+        voxel_m,
+        heights,
+        spreads,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,11 @@ def save_npz(voxels: VoxelMap, path: Path) -> None:
     """Write a map as a NumPy archive (``.npz``), its blocks in ascending order.
 
     Arrays: ``format``, ``version``, ``voxel_m``, ``coords`` (blocks, 3) int32, ``log_odds``
-    (blocks, 512) float32 and ``seen`` (blocks, 512) uint8, voxels of a block x outermost.  The
-    same map gives the same bytes.
+    (blocks, 512) float32 and ``seen`` (blocks, 512) uint8, voxels of a block x outermost; and
+    ``origin_m`` (3,) float64 if the map has one.  The same map gives the same bytes.
     """
     order = ascending(voxels)
+    more: dict[str, Any] = {"origin_m": np.array(voxels.origin_m)} if any(voxels.origin_m) else {}
     with path.open("wb") as file:
         np.savez_compressed(
             file,
@@ -32,6 +34,7 @@ def save_npz(voxels: VoxelMap, path: Path) -> None:
             coords=voxels.coords[order],
             log_odds=voxels.log_odds[order],
             seen=voxels.seen[order],
+            **more,
         )
 
 
@@ -47,4 +50,5 @@ def load_npz(path: Path) -> VoxelMap:
         coords, log_odds, seen = (arrays[name] for name in ("coords", "log_odds", "seen"))
     except (KeyError, TypeError, ValueError) as err:
         raise MapFileError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
-    return map_from_blocks(path, voxel_m, coords, log_odds, seen)
+    origin_m = arrays.get("origin_m", np.zeros(3))
+    return map_from_blocks(path, voxel_m, coords, log_odds, seen, origin_m)

@@ -17,6 +17,7 @@ import numpy as np
 from insonify.errors import MapFileError, OutputError
 from insonify.io.maps.blocks import MOST_LOG_ODDS, check_memory
 from insonify.io.maps.octree import CENTRE_KEY, DEPTH, Level, places, pruned_tree, separate
+from insonify.io.maps.sidecar import load_origin, save_origin
 from insonify.jit import kernel
 from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
 from insonify.types import Array, Float32, Int64
@@ -57,6 +58,7 @@ def save_octomap(voxels: VoxelMap, path: Path) -> None:
     size = sum(len(level.code) for level in levels)
     head = f"\n# written by insonify\nid OcTree\nsize {size}\nres {voxels.voxel_m!r}\ndata\n"
     path.write_bytes(_TITLE[path.suffix] + head.encode() + data)
+    save_origin(voxels, path)
 
 
 def load_octomap(path: Path) -> VoxelMap:
@@ -144,7 +146,7 @@ def _map_from_leaves(
         found.append(np.unique((first[depth == d] >> 9)[:, None] + beside))
     blocks = np.unique(np.concatenate(found))
     check_memory(path, len(blocks))
-    voxels = VoxelMap(voxel_m)
+    voxels = VoxelMap(voxel_m, origin_m=load_origin(path))
     keys = separate(blocks) - (CENTRE_KEY >> 3)
     slots = voxels.allocate(keys.astype(np.int32))
     value = np.where(np.abs(value) <= _LEAST, np.float32(0.0), value)

@@ -19,13 +19,14 @@ def save_point_cloud(
     """Write a binary PLY point cloud of the voxels that are not known to be free.
 
     Those are the occupied voxels, and in ``region`` those in view and undecided, with properties
-    ``x, y, z`` (centre, metres), ``probability`` and ``entropy``, sorted by x, y, z.
+    ``x, y, z`` (centre, metres, in the world), ``probability`` and ``entropy``, sorted by x, y, z.
+    Of a map with an origin the centres are of double precision.
 
     Args:
         voxels: The map.
         path: The file.
         least_entropy: Entropy from which a voxel counts as undecided.
-        region: Where undecided voxels are of interest.
+        region: Where undecided voxels are of interest, in the map's own frame.
     """
     entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
     corner = voxels.coords * voxels.block_m
@@ -41,13 +42,17 @@ def save_point_cloud(
     slot, voxel, index = slot[inside], voxel[inside], index[inside]
     order = np.lexsort(index.T[::-1])
     names = ("x", "y", "z", "probability", "entropy")
-    points = np.empty(len(index), [(name, "<f4") for name in names])
+    far = any(voxels.origin_m)
+    kinds = {name: "<f8" if far and name in "xyz" else "<f4" for name in names}
+    points = np.empty(len(index), list(kinds.items()))
     for axis, name in enumerate("xyz"):
-        points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order]
+        points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order] + voxels.origin_m[axis]
     points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
     points["entropy"] = entropy[slot, voxel][order]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    header += [f"property float {name}" for name in names]
+    header += [
+        f"property {'double' if kind == '<f8' else 'float'} {name}" for name, kind in kinds.items()
+    ]
     with path.open("wb") as file:
         file.write(("\n".join([*header, "end_header"]) + "\n").encode())
         file.write(points.tobytes())

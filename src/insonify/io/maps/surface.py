@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from insonify.errors import OutputError
+from insonify.io.maps.sidecar import save_origin
 from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
 from insonify.types import Array, Float32, Float64
 
@@ -24,6 +25,8 @@ _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 def save_surface(voxels: VoxelMap, path: Path) -> None:
     """Write the surface as ``.glb`` (upright, coloured by probability) or binary ``.stl``.
 
+    An origin is the translation of the GLB's node; an STL, of single precision, has it beside it.
+
     Raises:
         OutputError: No voxel is occupied, or they lie too far apart.
     """
@@ -31,10 +34,13 @@ def save_surface(voxels: VoxelMap, path: Path) -> None:
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if path.suffix == ".stl":
         mesh.export(path, file_type="stl")
+        save_origin(voxels, path)
         return
     mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=probability_colours(probability))
     scene = trimesh.Scene()
-    scene.add_geometry(mesh, node_name="map", geom_name="map", transform=_UPRIGHT)
+    placed = _UPRIGHT.copy()
+    placed[:3, 3] = _UPRIGHT[:3, :3] @ voxels.origin_m
+    scene.add_geometry(mesh, node_name="map", geom_name="map", transform=placed)
     path.write_bytes(bytes(scene.export(file_type="glb")))  # type: ignore[no-untyped-call]
 
 

@@ -36,7 +36,9 @@ def save_vdb(voxels: VoxelMap, path: Path) -> None:
         out += _string(name) + _string(_TREE) + _string("")
         start = len(out) + 24
         about = _metadata({"class": "unknown", "name": name, "value_type": "float"})
-        head = struct.pack("<I", _ZIP_AND_MASK) + about + _transform(voxels.voxel_m)
+        head = (
+            struct.pack("<I", _ZIP_AND_MASK) + about + _transform(voxels.voxel_m, voxels.origin_m)
+        )
         topology, leaves = _tree(coords.astype(np.int64), active, values)
         ends = start + len(head) + len(topology)
         out += struct.pack("<qqq", start, ends, ends + len(leaves)) + head + topology + leaves
@@ -98,10 +100,12 @@ def _values(active: Float32) -> bytes:
     return _NO_INACTIVE_VALUES + struct.pack("<q", len(packed)) + packed
 
 
-def _transform(voxel_m: float) -> bytes:
-    """World from index: scale, then half a voxel's shift to the centre."""
-    rows = (voxel_m / 2, voxel_m, voxel_m, 1 / voxel_m, voxel_m**-2, 0.5 / voxel_m)
-    return _string("UniformScaleTranslateMap") + struct.pack("<18d", *np.repeat(rows, 3))
+def _transform(voxel_m: float, origin_m: tuple[float, float, float]) -> bytes:
+    """World from index: scale, then half a voxel's shift to the centre, and the map's origin."""
+    rows = (voxel_m, voxel_m, 1 / voxel_m, voxel_m**-2, 0.5 / voxel_m)
+    centre = voxel_m / 2 + np.array(origin_m)
+    numbers = (*centre, *np.repeat(rows, 3))
+    return _string("UniformScaleTranslateMap") + struct.pack("<18d", *numbers)
 
 
 def _metadata(texts: dict[str, str]) -> bytes:
