@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks import samples
+from typer.testing import CliRunner
 
-from insonify.errors import GeometryError, MemoryLimitError, RecordingError
+from insonify.cli import app
+from insonify.errors import ConfigError, GeometryError, MemoryLimitError, RecordingError
 from insonify.io.maps import save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
@@ -17,7 +20,7 @@ from insonify.io.recordings.recording import Reading, Recording, RecordingWarnin
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.mapper import MappingSettings
 from insonify.mapping.voxels import VoxelMap
-from insonify.mission.remap import map_recordings
+from insonify.mission.remap import echo_threshold, map_recordings
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.planning.once import clearance_m, plan_next
@@ -227,3 +230,28 @@ def test_what_the_user_says_of_an_archive_overrules_it(tmp_path: Path) -> None:
     assert spot(convention="ned") == pytest.approx([2.0 - side, 1.0 + ahead, -5.0], abs=0.15)
     over = Pose(0.0, 0.0, -10.0, math.pi, 0.0, 0.0)
     assert spot(mount=over) == pytest.approx([1.0 + ahead, 2.0 - side, -5.0], abs=0.15)
+
+
+def test_the_threshold_of_a_recordings_own_noise(tmp_path: Path) -> None:
+    """Above the noise of the loudest recording, and recorded in the result."""
+    rng = np.random.default_rng(0)
+    paths = []
+    for name, sigma in (("a", 4.0), ("b", 8.0)):
+        images = rng.rayleigh(sigma, (6, 80, 40)).clip(0, 255)
+        images[:, 50:54, 20:24] = 250
+        paths.append(tmp_path / f"{name}.npz")
+        np.savez(
+            paths[-1], images=images.astype(np.uint8), range_min_m=0.0, range_max_m=8.0,
+            azimuth_deg=40.0, elevation_deg=10.0, columns="port_to_starboard",
+            pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (6, 1)),
+        )  # fmt: skip
+    quiet, loud = (echo_threshold([open_recording(path)]) for path in paths)
+    assert 4 * 4.0 < quiet < 8 * 4.0 and 4 * 8.0 < loud < 8 * 8.0
+    run = CliRunner().invoke
+    out = tmp_path / "m"
+    told = run(app, ["map", *map(str, paths), "--threshold", "auto", "--out", str(out), "--json"])
+    assert json.loads(told.stdout)["mapping"]["pixel_threshold"] == loud
+    assert f"Threshold: {loud} of 255" in told.stderr
+    assert f"pixel_threshold = {loud}" in (out / "config.toml").read_text()
+    bad = run(app, ["map", str(paths[0]), "--threshold", "loud", "--out", str(tmp_path / "n")])
+    assert isinstance(bad.exception, ConfigError) and "whole number" in str(bad.exception)

@@ -109,3 +109,16 @@ def test_a_triangle_without_its_corner_is_refused(tmp_path: Path) -> None:
     (tmp_path / "bad.ply").write_text(header + "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n")
     with pytest.raises(MeshError, match=r"bad\.ply"):
         load_mesh(tmp_path / "bad.ply")
+
+
+def test_collada_with_x_up_stands_upright(tmp_path: Path) -> None:
+    """COLLADA 1.4: where x is up, -y is to the right and z comes out of the picture."""
+    corner = trimesh.Trimesh([[0, 0, 0], [3, 0, 0], [0, 2, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3]])
+    text = trimesh.exchange.dae.export_collada(corner).decode()  # type: ignore[no-untyped-call]
+    assert "<up_axis>" in text
+    path = tmp_path / "x.dae"
+    path.write_text(text.replace("Y_UP", "X_UP").replace("Z_UP", "X_UP"))
+    low, high = load_mesh(path, up="auto").bounds
+    np.testing.assert_allclose([low, high], [[-2, -1, 0], [0, 0, 3]], atol=1e-9)
+    low, high = load_mesh(path, up="z").bounds
+    np.testing.assert_allclose([low, high], [[0, 0, 0], [3, 2, 1]], atol=1e-9)

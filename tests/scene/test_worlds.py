@@ -174,3 +174,22 @@ def test_a_missing_mesh_names_the_file_and_the_model() -> None:
         load_scene(DATA / "worlds/herkules_ship_wreck.world")
     with pytest.raises(WorldError, match="munkholmen_seabed"):
         load_scene(DATA / "worlds/munkholmen.world")
+
+
+@pytest.mark.parametrize(
+    ("uri", "spared"),
+    [("model://sun", True), ("https://fuel.gazebosim.org/1.0/x/models/Rock", True),
+     ("model://rock", False), ("model://sunken_ship", False)],
+)  # fmt: skip
+def test_a_light_or_a_model_on_the_web_may_lack(tmp_path: Path, uri: str, spared: bool) -> None:
+    (tmp_path / "w.sdf").write_text(
+        f"<sdf version='1.9'><world name='w'><include><uri>{uri}</uri></include>"
+        "<model name='b'><link name='l'><visual name='v'><geometry><box><size>1 1 1</size></box>"
+        "</geometry></visual></link></model></world></sdf>"
+    )
+    if spared:
+        with pytest.warns(WorldWarning, match="is left out"):
+            assert len(load_scene(tmp_path / "w.sdf").bodies) == 1
+    else:
+        with pytest.raises(WorldError, match="is not there; looked in"):
+            load_scene(tmp_path / "w.sdf")

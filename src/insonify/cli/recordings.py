@@ -43,6 +43,15 @@ VoxelOption = Annotated[
     float | None,
     typer.Option(metavar="M", help="Edge length of a voxel; 0.1 by default.", show_default=False),
 ]
+ThresholdOption = Annotated[
+    str | None,
+    typer.Option(
+        "--threshold",
+        metavar="VALUE|auto",
+        help="Pixels above are echoes, of 255; auto: as the recordings' own noise tells. Else "
+        "mapping.pixel_threshold.",
+    ),
+]
 RegionOption = Annotated[
     str | None,
     typer.Option(
@@ -89,6 +98,7 @@ def map_(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     mapper: MapperOption = None,
     voxel: VoxelOption = None,
+    threshold: ThresholdOption = None,
     region: RegionOption = None,
     reading: Any = None,
     settings: SetOption = None,
@@ -100,12 +110,17 @@ def map_(
     from insonify.io.folders import result_folder
     from insonify.io.recordings import open_recording
     from insonify.mapping.factory import make_mapper
-    from insonify.mission.remap import map_recordings
+    from insonify.mission.remap import echo_threshold, map_recordings
     from insonify.results.map import save_remap
 
     full = map_config(voxel, absolute(mapper), settings, config)
+    if threshold is not None and threshold != "auto":
+        full = _with_threshold(full, threshold)
     with result_folder(out, force=force) as place, interruptible() as interrupted:
         recordings = [open_recording(file, reading) for file in files]
+        if threshold == "auto":
+            full = _with_threshold(full, str(echo_threshold(recordings)))
+            print(f"Threshold: {full.mapping.pixel_threshold} of 255", file=sys.stderr)
         with _progress() as watch:
             remap = map_recordings(
                 recordings,
@@ -155,6 +170,20 @@ def map_config(
     full = validated(MapConfig, overlaid([*from_file, chosen, *single]), see=see)
     check_mapper(full.mapper, full.mapper_options)
     return full
+
+
+def _with_threshold(full: MapConfig, text: str) -> MapConfig:
+    from insonify.config.layers import overlaid
+    from insonify.config.settings import validated
+
+    try:
+        value = int(text)
+    except ValueError as err:
+        raise ConfigError(
+            f"--threshold takes a whole number up to 255, or auto, not {text!r}"
+        ) from err
+    told = overlaid([full.model_dump(), {"mapping": {"pixel_threshold": value}}])
+    return validated(type(full), told, see="`insonify config --for map`")
 
 
 def _without_a_scans(layer: Table, known: set[str]) -> Table:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -16,6 +18,7 @@ from insonify import memory
 from insonify.errors import GeometryError, MemoryLimitError, RecordingError
 from insonify.io.recordings.recording import Recording, RecordingWarning
 from insonify.io.recordings.summary import describe_fan
+from insonify.mapping.echoes import noise_threshold
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
 from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK
@@ -30,6 +33,7 @@ _ABOVE_WATER_M = 0.5
 """A vehicle that never comes lower is in doubt; at the surface it may well be less."""
 _FAR_M, _ORIGIN_STEP_M = 10_000.0, 1000.0
 """Coordinates beyond are told from an origin of the map, rounded to so much."""
+_NOISE_PINGS = 32
 _GROWTH = 3
 """Memory at a moment when the map's arrays double: the old ones and the new."""
 
@@ -137,6 +141,26 @@ def map_recordings(
             "to count its entropy; give a smaller one (--region) or larger voxels (--voxel)"
         )
     return remap
+
+
+def echo_threshold(recordings: Sequence[Recording]) -> int:
+    """The least pixel threshold, of 255, above the noise of all recordings (`noise_threshold`).
+
+    Told from some pings of each, those with the number of bins that most have.
+
+    Raises:
+        RecordingError: There are no pings.
+    """
+    most = 0
+    for recording in recordings:
+        stride = max(1, recording.count // _NOISE_PINGS)
+        images = [one.ping.image for one in itertools.islice(recording, 0, None, stride)]
+        if not images:
+            raise RecordingError(f"{recording.path}: there are no pings in it")
+        bins = Counter(len(image) for image in images).most_common(1)[0][0]
+        alike = [image for image in images if len(image) == bins]
+        most = max(most, math.ceil(255.0 * noise_threshold(alike)))
+    return min(most, 254)
 
 
 def _origin(recordings: Sequence[Recording], block_m: float) -> tuple[float, float, float]:

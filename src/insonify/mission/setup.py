@@ -29,6 +29,10 @@ from insonify.vehicle.settings import VehicleSettings
 MOST_RAYS = 20_000_000
 
 
+_HUGE_M = 100.0
+"""An object so large may be in other units."""
+
+
 class SurveySettings(Settings):
     """The vehicle's order: where to look, how high, how often."""
 
@@ -228,7 +232,14 @@ def _check_area(stage: Stage, area: SurveyArea, survey: SurveySettings) -> None:
         raise ConfigError(
             f"the seabed ends {max(spare_m, 0.0):.3g} m from the object and scans begin "
             f"{reach_m:.3g} m from it; take a larger one (seabed.size_m) or move the object"
+            + _units_hint(float(max(stage.mesh.extents)))
         )
+
+
+def _units_hint(across_m: float) -> str:
+    if across_m < _HUGE_M:
+        return ""
+    return f"; it is {across_m:.3g} m across, so if it is in millimetres, --set object.scale=0.001"
 
 
 def _check_rays(config: Config) -> None:

@@ -16,6 +16,12 @@ from insonify.types import Float64
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".gltf", ".glb", ".dae")
 LARGEST_EXTENT_M = 1000.0
+_AXES = {"X_UP": "x", "Y_UP": "y"}
+_UPRIGHT = {
+    "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "y": rotation_from_rpy(math.pi / 2, 0.0, 0.0),
+}
+"""Our axes from a file's: COLLADA 1.4, up_axis; to the right is -y where x is up, else x."""
 
 
 def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> trimesh.Trimesh:
@@ -24,7 +30,7 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
     Args:
         path: OBJ, STL, PLY, glTF/GLB or COLLADA file; parts of a scene are merged.
         scale: Factor to metres (0.001 for a mesh in millimetres).
-        up: The file's upward axis, "z" or "y"; "auto": y for glTF, and for COLLADA that says so.
+        up: The file's upward axis, "x", "y" or "z"; "auto": y for glTF, what COLLADA says, else z.
         part: Only the node or mesh of this name, if it is given.
 
     Raises:
@@ -35,7 +41,7 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
         raise MeshError(f"{path}: a mesh file ends in {', '.join(MESH_SUFFIXES)}")
     if not path.is_file():
         raise MeshError(f"{path}: there is no such mesh file; check the path")
-    mesh, y_up = _read(path, part)
+    mesh, own_up = _read(path, part)
     if len(mesh.faces) == 0:
         raise MeshError(f"{path}: the mesh has no triangles; export it with its faces")
     faces = np.asarray(mesh.faces)
@@ -49,9 +55,10 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         raise MeshError(f"{path}: {bad} vertices are not finite numbers; repair the mesh")
     mesh = scaled(mesh, scale)
-    if up == "y" or (up == "auto" and y_up):
+    axis = own_up if up == "auto" else up
+    if axis != "z":
         turn = np.eye(4)
-        turn[:3, :3] = rotation_from_rpy(math.pi / 2, 0.0, 0.0)
+        turn[:3, :3] = _UPRIGHT[axis]
         mesh.apply_transform(turn)
     extent_m = float(np.max(mesh.extents))
     if extent_m > LARGEST_EXTENT_M:
@@ -64,8 +71,8 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
     return mesh
 
 
-def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, bool]:
-    """A file's mesh, or one part of it, in the file's axes, and whether its upward axis is y."""
+def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, str]:
+    """A file's mesh, or one part of it, in the file's axes, and its upward axis."""
     suffix = path.suffix.lower()
     if suffix == ".dae":
         optional("collada", "simulation", "reading COLLADA")
@@ -81,7 +88,8 @@ def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, bool]:
         raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
     wanted = {part} | _meshes_of_node(collada, part)
     to_metres = _unit_m(collada, path)
-    y_up = suffix in {".gltf", ".glb"} or "Y_UP" in _texts(collada, "up_axis")
+    told = _texts(collada, "up_axis") | ({"Y_UP"} if suffix in {".gltf", ".glb"} else set())
+    up = next((name for axis, name in _AXES.items() if axis in told), "z")
     meshes = []
     for node in loaded.graph.nodes_geometry:
         transform, name = loaded.graph[node]
@@ -93,7 +101,7 @@ def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, bool]:
     if part and not meshes:
         names = ", ".join(sorted(loaded.geometry)) or "none"
         raise MeshError(f"{path}: it has no part named {part!r}; its parts: {names}")
-    return _joined(meshes), y_up
+    return _joined(meshes), up
 
 
 def _meshes_of_node(collada: list[ET.Element], name: str) -> set[str]:

@@ -33,8 +33,8 @@ class ObjectSettings(Settings):
     scale: float = Field(1.0, gt=0, le=1e6, description="factor to metres")
     x_m: float = Field(0.0, ge=-1e5, le=1e5)
     y_m: float = Field(0.0, ge=-1e5, le=1e5)
-    up: Literal["auto", "y", "z"] = Field(
-        "auto", description="the file's upward axis; auto: y for glTF and COLLADA's Y_UP, else z"
+    up: Literal["auto", "x", "y", "z"] = Field(
+        "auto", description="the file's upward axis; auto: y for glTF, what COLLADA says, else z"
     )
     roll_deg: float = Field(0.0, ge=-360, le=360, description="turned about x, y, z in this order")
     pitch_deg: float = Field(0.0, ge=-360, le=360)

@@ -29,6 +29,9 @@ from insonify.scene.sdf import (
 from insonify.scene.seabed import grid_triangles
 from insonify.types import Float64
 
+_LIGHTS = {"sun", "sunlight", "light", "lights", "sky"}
+"""Models that hold a light alone, by the names that worlds include them by."""
+
 
 class WorldWarning(UserWarning):
     """A part of a world that is left out; the scene is usable without it."""
@@ -139,6 +142,13 @@ class _Reader:
     ) -> list[Body]:  # fmt: skip
         uri = (include.findtext("uri") or "").strip()
         found = self.search.find(uri, path)
+        if found is None and _is_spared(uri):
+            warnings.warn(
+                f"{path}: the included model {uri!r} is not there, and is left out",
+                WorldWarning,
+                stacklevel=2,
+            )
+            return []
         if found is None:
             raise WorldError(
                 f"{path}: the included model {uri or '(no uri)'!r} is not there; looked in "
@@ -259,6 +269,12 @@ class _Reader:
             )
             return None
         return NormalMap(read_normal_map(found), np.asarray(uv, np.float64))
+
+
+def _is_spared(uri: str) -> bool:
+    """Whether a world can do without an include: lights, and what lies on the web."""
+    name = uri.rstrip("/").rsplit("/", 1)[-1].lower()
+    return uri.startswith(("http://", "https://")) or name in _LIGHTS
 
 
 def _name_of(element: ET.Element) -> str:
