@@ -90,6 +90,21 @@ def _oculus(version: int) -> Make:
     return make
 
 
+def _oculus_log(packed: bool) -> Make:
+    def make(folder: Path, rng: np.random.Generator) -> Path:
+        one = samples.oculus(samples.pixels(rng, 12, 9), np.linspace(-20.0, 20.0, 9))
+        (folder / "o.oculus").write_bytes(samples.oculus_log([one] * 3, packed=packed))
+        return folder / "o.oculus"
+
+    return make
+
+
+def _ping360(folder: Path, rng: np.random.Generator) -> Path:
+    log = samples.ping360_log([190, 200, 210], samples.pixels(rng, 3, 200), chunk=150)
+    (folder / "p.bin").write_bytes(log)
+    return folder / "p.bin"
+
+
 def _arrays(folder: Path, rng: np.random.Generator) -> Path:
     fan = FanGeometry(0.5, 0.2, 6, 8, 0.1, 2.0)
     pings = [
@@ -197,6 +212,9 @@ READERS = (
     Reader("ARIS", _aris, _pings),
     Reader("Oculus v1", _oculus(1), _pings),
     Reader("Oculus v2", _oculus(2), _pings),
+    Reader("Oculus log", _oculus_log(False), _pings),
+    Reader("Oculus log, packed", _oculus_log(True), _pings),
+    Reader("Ping360 log", _ping360, _pings),
     Reader("arrays (.npz)", _arrays, _pings),
     Reader("arrays, images", _inside_arrays("images"), _pings, _packed),
     Reader("arrays, poses", _inside_arrays("pose_body"), _pings, _packed),

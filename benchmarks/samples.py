@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +92,48 @@ def tum_rows(count: int) -> Array:
     rows[:, 1] = 0.1 * np.arange(count)
     rows[:, 6:] = np.sqrt(0.5)
     return rows
+
+
+def oculus_log(messages: list[bytes], *, packed: bool = False, start_s: float = 1.7e9) -> bytes:
+    """A log of Oculus Viewer with a message each tenth of a second, another item after each."""
+    out = struct.pack("<II16sHH4xqd", 0x11223344, 48, b"Oculus", 1, 0, 0, start_s)
+    item = struct.Struct("<IIHH4xdH2xII4x")
+    for number, message in enumerate(messages):
+        time_s = start_s + 0.1 * number
+        raw = struct.pack(">I", len(message)) + zlib.compress(message) if packed else message
+        out += item.pack(0xAABBCCDD, 40, 10, 0, time_s, int(packed), len(message), len(raw)) + raw
+        out += item.pack(0xAABBCCDD, 40, 500, 0, time_s, 0, 4, 4) + b"view"
+    return out
+
+
+def ping360_log(
+    angles_grad: list[int], echoes: Array, *, chunk: int | None = None, utf16: bool = True
+) -> bytes:
+    """A log of Ping Viewer, a ping each 35 ms; ``chunk`` bytes a record, or one message each."""
+
+    def array(data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + data
+
+    def text(words: str) -> bytes:
+        return array(words.encode("utf-16-be" if utf16 else "utf-8"))
+
+    messages = []
+    for number, (angle, samples) in enumerate(zip(angles_grad, echoes, strict=True)):
+        fields = [1, 1, angle, 100, 444, 750, len(samples), len(samples)]
+        kind, layout = 2300, "<BBHHHHHH"
+        if number % 2:
+            kind, layout = 2301, "<BBHHHHHHBBHH"
+            fields[6:6] = [0, 399, 1, 0]
+        payload = struct.pack(layout, *fields) + samples.astype(np.uint8).tobytes()
+        whole = b"BR" + struct.pack("<HHBB", len(payload), kind, 2, 0) + payload
+        messages.append(whole + struct.pack("<H", sum(whole) & 0xFFFF))
+    if chunk is not None:
+        stream = b"".join(messages)
+        messages = [stream[k : k + chunk] for k in range(0, len(stream), chunk)]
+    out = text("PingViewer sensor log file") + struct.pack(">i", 1)
+    out += b"".join(text(words) for words in ("hash", "date", "tag", "Linux", ""))
+    out += struct.pack(">ii", 1, 2)
+    for number, data in enumerate(messages):
+        ms = 35 * number
+        out += text(f"00:{ms // 60000:02}:{ms // 1000 % 60:02}.{ms % 1000:03}") + array(data)
+    return out

@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image
 
 from insonify.io.pings import load_ping
+from insonify.io.recordings import open_recording
 
 pytestmark = pytest.mark.slow
 
@@ -128,11 +129,25 @@ def test_the_sunken_ship_and_the_missing_mesh(tmp_path: Path) -> None:
     assert done.returncode == 2 and "herkules.dae" in done.stderr
 
 
-def test_turns_are_no_recording(tmp_path: Path) -> None:
+def test_turns_of_a_scanning_sonar_are_a_recording(tmp_path: Path) -> None:
+    """Each ping is a fan of one beam where its head looked."""
     words = ["simulate", "msis-tank", "--out", "s", "--set", "sonar.sector_deg=20"]
     assert _run(*words, cwd=tmp_path).returncode == 0
-    done = _run("info", "s", cwd=tmp_path)
-    assert done.returncode == 2 and "turns of a scanning sonar" in done.stderr
+    done = _run("info", "s", "--picture", "turn.png", "--json", cwd=tmp_path)
+    (fan,) = json.loads(done.stdout)["fans"]
+    assert fan["mount_turns_deg"][2][0] < -8.0 and fan["mount_turns_deg"][2][1] > 8.0
+    with Image.open(tmp_path / "turn.png") as picture:
+        assert picture.size[0] > 100
+    done = _run("map", "s", "--out", "m", "--voxel", "0.2", "--json", cwd=tmp_path)
+    assert json.loads(done.stdout)["occupied_voxels"] > 20
+    recording = open_recording(tmp_path / "s")
+    turns = [one.ping for one in recording]
+    assert len(turns) == recording.count > 5
+    heads = [ping.head_rad for ping in turns]
+    yaws = [ping.geometry.mount.yaw_rad for ping in turns]
+    assert yaws == pytest.approx(heads) and heads[0] > 0.1 > -0.1 > heads[-1]
+    whole = np.load(next((tmp_path / "s/pings").glob("*.npz")))["raw"]
+    np.testing.assert_array_equal(np.concatenate([ping.image for ping in turns], 1), whole)
 
 
 def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:

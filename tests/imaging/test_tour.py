@@ -17,6 +17,7 @@ from insonify.config.toml import config_to_toml
 from insonify.errors import ConfigError
 from insonify.frames import compose
 from insonify.imaging.tour import Tour, TourPing, tour, tour_config, turns_of
+from insonify.io.recordings import open_recording
 from insonify.results.tour import COLUMNS
 from insonify.scene import Scene
 from insonify.scene.named import named_scene
@@ -184,6 +185,15 @@ def test_the_command_writes_images_and_the_true_pose_of_each_ping(tmp_path: Path
         assert archive["images"].shape == (len(rows), 40, 8)
         assert archive["true_pose"][-1, 0] == pytest.approx(float(rows[-1]["true_x_m"]))
     assert (tmp_path / "out/trajectory.csv").is_file()
+    recording = open_recording(tmp_path / "out/fls.npz")
+    heard = list(recording)
+    assert recording.exact and recording.format == "result of fly" and len(heard) == len(rows)
+    for row, one in zip(rows, heard, strict=True):
+        assert one.true_pose is not None and one.pose is not None
+        assert one.true_pose.x_m == pytest.approx(float(row["true_x_m"]))
+        assert one.pose.x_m == pytest.approx(float(row["estimated_x_m"]))
+        assert one.ping.time_s == pytest.approx(float(row["time_s"]))
+    assert heard[0].ping.geometry.bins == 40 and heard[0].ping.geometry.beams == 8
 
 
 def test_flatfish_over_the_sunken_ship() -> None:

@@ -26,7 +26,7 @@ SonarOption = Annotated[
     ),
 ]
 PosesOption = Annotated[
-    Path | None, typer.Option("--poses", metavar="FILE", help="Poses in TUM format.")
+    Path | None, typer.Option("--poses", metavar="FILE", help="Poses in TUM format, or .tlog.")
 ]
 OffsetOption = Annotated[
     float,

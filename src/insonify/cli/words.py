@@ -54,7 +54,6 @@ def _moment(time_s: float) -> str:
 
 def _fan_rows(fan: dict[str, Any], *, alone: bool) -> list[list[str]]:
     low, high = fan["bearings_deg"]
-    roll, pitch, yaw = fan["mount_rpy_deg"]
     return [
         ["fan" if alone else f"fan of {fan['pings']} pings",
          f"{fan['beams']} beams x {fan['bins']} bins"],
@@ -63,7 +62,7 @@ def _fan_rows(fan: dict[str, Any], *, alone: bool) -> list[list[str]]:
         ["  azimuth", f"{_side(low)} to {_side(high)}"],
         ["  elevation", f"{fan['elevation_deg']:g} degrees in all"],
         ["  mount", _place(fan["mount_m"])],
-        ["  mount's roll, pitch, yaw", f"{roll:g}, {pitch:g} ({_tilt(pitch)}), {yaw:g} degrees"],
+        ["  mount's roll, pitch, yaw", _turns(fan)],
     ]  # fmt: skip
 
 
@@ -76,6 +75,15 @@ def _side(bearing_deg: float) -> str:
 def _place(mount_m: list[float]) -> str:
     x, y, z = mount_m
     return f"{x:g} m forward, {y:g} m to port, {z:g} m up"
+
+
+def _turns(fan: dict[str, Any]) -> str:
+    if "mount_turns_deg" in fan:
+        told = (f"{low + 0.0:g}" if low == high else f"{low:g} to {high:g}"
+                for low, high in fan["mount_turns_deg"])  # fmt: skip
+        return f"{', '.join(told)} degrees: it turns from ping to ping"
+    roll, pitch, yaw = (angle + 0.0 for angle in fan["mount_rpy_deg"])
+    return f"{roll:g}, {pitch:g} ({_tilt(pitch)}), {yaw:g} degrees"
 
 
 def _tilt(pitch_deg: float) -> str:

@@ -63,7 +63,8 @@ def save_sweep(
     """Write a turn of a scanning head as a NumPy archive.
 
     Arrays: ``raw`` (bins, steps) float32 in the order in which the pings were sent, with
-    ``head_rad``, ``times_s`` and ``poses`` (steps, 6) of each; ``image`` and ``deskewed`` (bins,
+    ``head_rad``, ``times_s``, ``poses`` and ``mounts`` (steps, 6) of each and ``beam_rad``, their
+    width; ``image`` and ``deskewed`` (bins,
     steps) from port to starboard, with ``fan``, ``mount`` and ``pose``, the first ping's, as in
     `save_ping`; with truth ``labels`` and the arrays of `Truth`, in the order of ``raw``.
     """
@@ -74,6 +75,8 @@ def save_sweep(
         "head_rad": np.array([one.ping.head_rad for one in pings]),
         "times_s": np.array([one.ping.time_s for one in pings]),
         "poses": np.array([_six(one.pose) for one in pings]),
+        "mounts": np.array([_six(one.ping.geometry.mount) for one in pings]),
+        "beam_rad": np.array(pings[0].ping.geometry.azimuth_fov_rad),
         "pose": _six(pings[0].pose),
         "time_s": np.array(polar.time_s),
     }
@@ -92,6 +95,38 @@ def is_sweep(path: Path) -> bool:
     except RecordingError:
         return False
     return True
+
+
+def load_sweep(path: Path) -> list[PosedPing]:
+    """The pings of a turn written by `save_sweep`, each a fan of one beam.
+
+    Raises:
+        RecordingError: The file is no such turn, an older one, or damaged.
+    """
+    arrays = read_archive(path, SWEEP, VERSION, RecordingError)
+    if "mounts" not in arrays:
+        raise RecordingError(f"{path}: a turn of an earlier version, without mounts; make it again")
+    try:
+        _, height, near, far = (float(value) for value in arrays["fan"])
+        width, raw = float(arrays["beam_rad"]), arrays["raw"]
+        columns = zip(
+            raw.T, arrays["times_s"], arrays["poses"], arrays["mounts"], arrays["head_rad"],
+            strict=True,
+        )  # fmt: skip
+        return [
+            PosedPing(
+                Ping(
+                    np.ascontiguousarray(column[:, None], np.float32),
+                    FanGeometry(width, height, 1, len(column), near, far, _pose(mount)),
+                    float(time_s),
+                    float(head_rad),
+                ),
+                _pose(pose),
+            )
+            for column, time_s, pose, mount, head_rad in columns
+        ]
+    except (KeyError, ValueError, TypeError, IndexError) as err:
+        raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
 
 
 def save_sidescan(path: Path, image: Float32, bin_m: float, poses: Sequence[Pose | None]) -> None:

@@ -12,6 +12,10 @@ from insonify.io.recordings.images import read_images
 from insonify.io.recordings.magic import MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC
 from insonify.io.recordings.oculus import START as OCULUS_START
 from insonify.io.recordings.oculus import read_oculus
+from insonify.io.recordings.oculus_log import START as LOG_START
+from insonify.io.recordings.ping360 import PLAIN_START as PING_VIEWER_PLAIN
+from insonify.io.recordings.ping360 import START as PING_VIEWER
+from insonify.io.recordings.ping360 import read_ping360
 from insonify.io.recordings.recording import Reading, Recording, in_our_axes, with_poses
 from insonify.io.recordings.simulated import read_simulated
 
@@ -37,8 +41,11 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
         head is not None and head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))
     ):
         return _bag(path, head or b"", reading)
-    recording = _folder(path, reading) if head is None else _file(path, head, reading)
-    return in_our_axes(with_poses(recording, reading), reading)
+    if head is not None:
+        recording = in_our_axes(_file(path, head, reading), reading)
+    else:
+        recording = _folder(path, reading)
+    return with_poses(recording, reading)
 
 
 def _head(path: Path) -> bytes | None:
@@ -60,19 +67,25 @@ def _head(path: Path) -> bytes | None:
 
 
 def _folder(path: Path, reading: Reading) -> Recording:
-    return read_simulated(path, reading) or read_images(path, reading)
+    simulated = read_simulated(path, reading)
+    if simulated is not None:
+        return in_our_axes(simulated, reading)
+    return read_images(path, reading)
 
 
 def _file(path: Path, head: bytes, reading: Reading) -> Recording:
     if head[:4] == ARIS_MAGIC:
         return read_aris(path, reading)
-    if head[:2] == OCULUS_START:
+    if head[:2] == OCULUS_START or head[:4] == LOG_START:
         return read_oculus(path, reading)
+    if head[:16] in (PING_VIEWER[:16], PING_VIEWER_PLAIN[:16]):
+        return read_ping360(path, reading)
     if head[:2] == b"PK":
         return read_arrays(path, reading)
     if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
         raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
     raise RecordingError(
-        f"{path}: of no known format (it begins with {head[:8]!r}); known are MCAP, ROS "
-        "bags, ARIS version 5, Oculus simple pings, NumPy archives (.npz) and folders of images"
+        f"{path}: of no known format (it begins with {head[:8]!r}); known are MCAP, ROS bags, "
+        "ARIS version 5, Oculus pings and logs, Ping360 logs, NumPy archives (.npz) and folders of "
+        "images"
     )

@@ -26,6 +26,7 @@ from insonify.io.recordings.recording import (
     columns,
     scaled,
 )
+from insonify.io.recordings.simulated import TOUR, read_tour
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 _KNOWN = {
@@ -46,6 +47,8 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
             archive = np.load(file, allow_pickle=False)
             if "log_odds" in archive.files:
                 raise RecordingError(f"{path}: a map, not a recording; see `insonify plan`")
+            if set(archive.files) >= TOUR:
+                return read_tour(path, reading)
             arrays = {name: archive[name] for name in archive.files if name in _KNOWN}
     except DAMAGE as err:
         raise RecordingError(f"{path}: damaged, or not a NumPy archive ({reason(err)})") from err
@@ -123,7 +126,7 @@ def _check_sizes(path: Path, name: str) -> None:
     total = 0
     with zipfile.ZipFile(name) as archive:
         for entry in archive.infolist():
-            if entry.filename.removesuffix(".npy") not in _KNOWN:
+            if entry.filename.removesuffix(".npy") not in _KNOWN | TOUR:
                 continue
             with archive.open(entry) as stream:
                 version = np.lib.format.read_magic(stream)

@@ -80,7 +80,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
     count = len(files)
     recording = Recording(path, "folder of images", count, times is not None, facts, read)
     beside = next((path / name for name in POSE_FILES if (path / name).is_file()), None)
-    return with_poses(recording, reading, beside)
+    return recording if reading.poses is not None else with_poses(recording, reading, beside)
 
 
 def _device(path: Path, reading: Reading) -> SonarDevice:

@@ -3,7 +3,7 @@
 Layout after the vendor's message structures as used by APL's liboculus and ENSTA's driver.
 Column 0 is the port side; row ``i`` lies around ``(i + 0.5) * range resolution``; the bearings
 come from the table in each message.  Messages of other kinds are skipped by their length.  The
-file holds no time of day and no pose.
+file holds no time of day and no pose; a log (`oculus_log`) holds the same messages, with times.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 import struct
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,6 +20,8 @@ import numpy as np
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
+from insonify.io.recordings.oculus_log import START as LOG_START
+from insonify.io.recordings.oculus_log import Item, sonar_items
 from insonify.io.recordings.recording import (
     BEAMS,
     HEIGHT_UNKNOWN,
@@ -75,6 +77,7 @@ class _Message:
     row_bytes: int
     gain_bytes: int
     bearings_rad: Float64
+    item: Item | None = None
 
     @property
     def shape(self) -> tuple[Any, ...]:
@@ -88,7 +91,9 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
     Raises:
         RecordingError: There is no whole simple ping result in it.
     """
-    messages = list(_scan(path))
+    with path.open("rb") as file:
+        logged = file.read(4) == LOG_START
+    messages = list(_scan_log(path) if logged else _scan(path))
     if not messages:
         raise RecordingError(f"{path}: no whole Oculus simple ping result in it")
     first = messages[0]
@@ -103,7 +108,8 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
                 if message.shape != shape:
                     fan, shape = _fan(path, message, reading), message.shape
                 image = fan.image(_pixels(message, file), reading.full_scale)
-                yield PosedPing(Ping(image, fan.geometry))
+                time_s = 0.0 if message.item is None else message.item.time_s
+                yield PosedPing(Ping(image, fan.geometry, time_s))
 
     fan = _fan(path, first, reading)
     if reading.device is None:
@@ -112,7 +118,32 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
         "columns": columns(reading.beams != BEAMS[1]),
         "doubts": doubts,
     }
-    return Recording(path, "Oculus simple ping results", len(messages), False, facts, read)
+    name = "Oculus log" if logged else "Oculus simple ping results"
+    return Recording(path, name, len(messages), logged, facts, read)
+
+
+def _scan_log(path: Path) -> Iterator[_Message]:
+    """The whole simple ping results of a log; a warning says what was left out."""
+    lost: list[int] = []
+    skipped = 0
+    with path.open("rb") as file:
+        for item in sonar_items(path, lost):
+            raw = item.read(file, 1 << 16)
+            if len(raw) < _HEADER.size or not math.isfinite(item.time_s):
+                skipped += 1
+                continue
+            oculus_id, _, _, kind, version, payload, _ = _HEADER.unpack(raw[: _HEADER.size])
+            if oculus_id == 0x4F53 and kind != _SIMPLE_PING:
+                continue
+            length = _HEADER.size + payload
+            whole = length <= (_LARGEST_MESSAGE if item.packed else item.size)
+            start = 0 if item.packed else item.at
+            message = _message(raw, start, length, version) if whole else None
+            if oculus_id != 0x4F53 or message is None:
+                skipped += 1
+            else:
+                yield replace(message, item=item)
+    _warn_of_damage(path, skipped, len(lost))
 
 
 def _scan(path: Path) -> Iterator[_Message]:
@@ -140,11 +171,15 @@ def _scan(path: Path) -> Iterator[_Message]:
                 else:
                     yield message
             at += length
+    _warn_of_damage(path, skipped, lost)
+
+
+def _warn_of_damage(path: Path, skipped: int, lost: int) -> None:
     if lost or skipped:
         warnings.warn(
             f"{path}: damaged or cut off; {skipped} pings left out, bytes skipped at {lost} places",
             RecordingWarning,
-            stacklevel=2,
+            stacklevel=3,
         )
 
 
@@ -214,8 +249,14 @@ def _largest(path: Path, messages: list[_Message]) -> int:
 
 
 def _pixels(message: _Message, file: BinaryIO) -> Array:
-    file.seek(message.image_at)
-    raw = file.read(message.ranges * message.row_bytes)
+    size = message.ranges * message.row_bytes
+    if message.item is not None and message.item.packed:
+        raw = message.item.read(file)[message.image_at :][:size]
+    else:
+        file.seek(message.image_at)
+        raw = file.read(size)
+    if len(raw) < size:
+        raise ValueError(f"ping {message.ping_id} is cut off")
     rows = np.frombuffer(raw, np.uint8).reshape(message.ranges, message.row_bytes)
     pixels = np.ascontiguousarray(rows[:, message.gain_bytes :])
     return pixels.view(f"<u{message.sample_bytes}")

@@ -106,13 +106,19 @@ def is_pose(row: Sequence[float]) -> bool:
 
 
 def read_poses(path: Path, max_gap_s: float | None = None) -> PoseTrack:
-    """A pose file in TUM format: ``time x y z qx qy qz qw`` a line, spaces or commas between.
+    """A telemetry log (``.tlog``), or a pose file in TUM format.
+
+    That is ``time x y z qx qy qz qw`` a line, spaces or commas between.
 
     Lines that begin with ``#`` are left out, and so is a first line of names.
 
     Raises:
         RecordingError: The file is missing, or a line is not eight numbers that make a pose.
     """
+    if path.suffix.lower() == ".tlog":
+        from insonify.io.recordings.telemetry import read_telemetry
+
+        return PoseTrack(read_telemetry(path), max_gap_s)
     try:
         if path.stat().st_size > MOST_POSE_FILE_BYTES:
             raise RecordingError(f"{path}: larger than 1 GiB, so not a pose file")

@@ -127,8 +127,8 @@ def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
 
 
 def in_our_axes(recording: Recording, reading: Reading) -> Recording:
-    """A recording whose poses are converted if the user says that they are of other axes."""
-    if reading.convention != "ned":
+    """A recording whose own poses are converted if the user says that they are of other axes."""
+    if reading.convention != "ned" or reading.poses is not None:
         return recording
 
     def read() -> Iterator[PosedPing]:
@@ -200,10 +200,12 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
     if timed:
         facts["max_gap_s"] = track.max_gap_s
 
+    ned = reading.convention == "ned" and source.suffix.lower() != ".tlog"  # which says its own
+
     def read() -> Iterator[PosedPing]:
         for number, recorded in enumerate(recording.read()):
             pose = _pose_of(track, recorded.ping, number, timed, reading.clock_offset_s)
-            yield PosedPing(recorded.ping, pose)
+            yield PosedPing(recorded.ping, enu_from_ned(pose) if ned and pose else pose)
 
     return Recording(recording.path, recording.format, recording.count, timed, facts, read)
 

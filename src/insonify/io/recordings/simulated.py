@@ -6,8 +6,11 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
-from insonify.errors import RecordingError
-from insonify.io.pings import is_sweep, load_ping
+import numpy as np
+
+from insonify.errors import RecordingError, reason
+from insonify.io.archives import DAMAGE
+from insonify.io.pings import is_sweep, load_ping, load_sweep
 from insonify.io.recordings.recording import (
     BEAMS,
     Reading,
@@ -16,7 +19,7 @@ from insonify.io.recordings.recording import (
     columns,
     corrected,
 )
-from insonify.types import PosedPing
+from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
 PINGS = "pings"
 
@@ -25,31 +28,67 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
     """Open a result folder of ``simulate``; None of another folder.
 
     Raises:
-        RecordingError: Its first ping cannot be read; turns of a scanning sonar are no fans.
+        RecordingError: Its first ping, or turn of a scanning sonar, cannot be read.
     """
     files = sorted((path / PINGS).glob("*.npz"))
     if not files or not (path / "config.toml").is_file():
         return None
-    try:
+    turns = is_sweep(files[0])
+    count = len(files)
+    if turns:
+        count *= len(load_sweep(files[0]))
+    else:
         load_ping(files[0])
-    except RecordingError:
-        if not is_sweep(files[0]):
-            raise
-        raise RecordingError(
-            f"{path}: turns of a scanning sonar, whose pings are no fans to map or view"
-        ) from None
 
     def read() -> Iterator[PosedPing]:
         for file in files:
             try:
-                posed, _ = load_ping(file)
+                pings = load_sweep(file) if turns else [load_ping(file)[0]]
             except RecordingError as err:
                 warnings.warn(f"{err}; it is left out", RecordingWarning, stacklevel=2)
                 continue
-            yield corrected(posed, reading)
+            for posed in pings:
+                yield corrected(posed, reading)
 
     facts = {
-        "poses": f"{len(files)}, where they were simulated",
+        "poses": f"{count}, where they were simulated",
         "columns": columns(reading.beams != BEAMS[1]),
     }
-    return Recording(path, "result of simulate", len(files), True, facts, read, exact=True)
+    return Recording(path, "result of simulate", count, True, facts, read, exact=True)
+
+
+TOUR = {"fan", "head_rad", "estimated_pose", "true_pose"}
+"""Arrays that only archives of ``fly`` hold."""
+
+
+def read_tour(path: Path, reading: Reading) -> Recording:
+    """Open what ``fly`` heard with one sonar, ``SONAR.npz``.
+
+    Raises:
+        RecordingError: Its arrays do not fit together.
+    """
+    try:
+        arrays = dict(np.load(path, allow_pickle=False))
+        azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
+        images, times = arrays["images"], arrays["time_s"]
+        count, bins, beams = images.shape
+        tables = {name: arrays[name] for name in ("estimated_pose", "true_pose", "mount")}
+        if any(table.shape != (count, 6) for table in tables.values()) or len(times) != count:
+            raise ValueError("its tables are not of one length")
+    except (*DAMAGE, KeyError) as err:
+        raise RecordingError(f"{path}: damaged ({reason(err)})") from err
+
+    def read() -> Iterator[PosedPing]:
+        for number in range(count):
+            pose, true, mount = (Pose(*map(float, table[number])) for table in tables.values())
+            fan = FanGeometry(azimuth, elevation, beams, bins, near, far, mount)
+            image = np.ascontiguousarray(images[number], np.float32)
+            head_rad = float(arrays["head_rad"][number])
+            ping = Ping(image, fan, float(times[number]), head_rad)
+            yield corrected(PosedPing(ping, pose, true), reading)
+
+    facts = {
+        "poses": f"{count}, as the vehicle believed",
+        "columns": columns(reading.beams != BEAMS[1]),
+    }
+    return Recording(path, "result of fly", count, True, facts, read, exact=True)

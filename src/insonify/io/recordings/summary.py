@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from insonify.io.recordings.poses import path_length_m
 from insonify.io.recordings.recording import Recording
 from insonify.types import FanGeometry, Ping, Pose
 
+_NOWHERE = Pose(0.0, 0.0, 0.0)
+_TURN_PINGS, _MOST_BEAMS = 400, 3600
+
 
 def summarise(recording: Recording) -> tuple[dict[str, Any], Ping | None]:
-    """Everything `info` prints, JSON-ready, and the middle ping; reads the recording once."""
+    """Everything `info` prints, JSON-ready, and the middle ping; reads the recording once.
+
+    Of a scanning sonar that is a turn around its middle, as one image.
+    """
     poses: list[Pose] = []
     middle: Ping | None = None
-    geometries: dict[FanGeometry, int] = {}
+    turn: list[Ping] = []
+    geometries: dict[FanGeometry, list[Pose]] = {}
     first_s = last_s = 0.0
     count, brightest, total = 0, 0.0, 0.0
     for number, recorded in enumerate(recording):
         ping = recorded.ping
-        geometries[ping.geometry] = geometries.get(ping.geometry, 0) + 1
+        mounts = geometries.setdefault(replace(ping.geometry, mount=_NOWHERE), [])
+        mounts.append(ping.geometry.mount)
+        if ping.geometry.beams == 1 and abs(number - recording.count // 2) <= _TURN_PINGS:
+            turn.append(ping)
         if middle is None or number == recording.count // 2:
             middle = ping
         first_s, last_s = (ping.time_s if number == 0 else first_s), ping.time_s
@@ -35,14 +49,53 @@ def summarise(recording: Recording) -> tuple[dict[str, Any], Ping | None]:
         "clock": recording.timed,
         "first_s": first_s if recording.timed else None,
         "duration_s": round(last_s - first_s, 6) if recording.timed else None,
-        "fans": [{"pings": n, **describe_fan(fan)} for fan, n in geometries.items()],
+        "fans": [_fan_of(fan, mounts) for fan, mounts in geometries.items()],
         "pixel_max": round(brightest, 4),
         "pixel_mean": round(total / count, 4) if count else None,
         "poses": len(poses),
         "path_m": round(path_length_m(poses), 3) if poses else None,
         "says": recording.facts,
     }
-    return summary, middle
+    return summary, swept(turn) if turn else middle
+
+
+def swept(pings: Sequence[Ping]) -> Ping:
+    """Pings of one beam side by side by where they looked, from port to starboard, the last first.
+
+    Pings that differ from the first in ranges are left out.
+    """
+    first = pings[0].geometry
+    alike = [one for one in pings if one.image.shape == pings[0].image.shape]
+    turns = any(one.head_rad for one in alike)
+    bearings = np.array([one.head_rad if turns else one.geometry.mount.yaw_rad for one in alike])
+    apart = np.diff(np.unique(np.round(bearings, 6)))
+    step = float(np.median(apart)) if len(apart) else first.azimuth_fov_rad
+    left = float(bearings.max()) + step / 2
+    beams = min(_MOST_BEAMS, round((left - float(bearings.min())) / step + 0.5))
+    image = np.zeros((first.bins, beams), np.float32)
+    places = np.clip(((left - bearings) / step).astype(int), 0, beams - 1)
+    for place, one in zip(places, alike, strict=True):
+        image[:, place] = one.image[:, 0]
+    middle = left - beams * step / 2
+    fan = replace(
+        first,
+        azimuth_fov_rad=min(beams * step, math.tau),
+        beams=beams,
+        mount=Pose(*first.mount.position_m, yaw_rad=middle),
+    )
+    return Ping(image, fan, alike[0].time_s)
+
+
+def _fan_of(fan: FanGeometry, mounts: Sequence[Pose]) -> dict[str, Any]:
+    """A fan, how many pings have it, and how its mount turns, if it does."""
+    told: dict[str, Any] = {"pings": len(mounts), **describe_fan(replace(fan, mount=mounts[0]))}
+    if len(set(mounts)) > 1:
+        turns = np.degrees([[one.roll_rad, one.pitch_rad, one.yaw_rad] for one in mounts])
+        told["mount_turns_deg"] = [
+            [round(float(low), 3), round(float(high), 3)]
+            for low, high in zip(turns.min(axis=0), turns.max(axis=0), strict=True)
+        ]
+    return told
 
 
 def describe_fan(fan: FanGeometry) -> dict[str, Any]:
