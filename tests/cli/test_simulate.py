@@ -14,6 +14,7 @@ from PIL import Image
 
 from insonify.io.pings import load_ping
 from insonify.io.recordings import open_recording
+from insonify.io.recordings.recording import Reading
 
 pytestmark = pytest.mark.slow
 
@@ -131,7 +132,7 @@ def test_the_sunken_ship_and_the_missing_mesh(tmp_path: Path) -> None:
 
 def test_turns_of_a_scanning_sonar_are_a_recording(tmp_path: Path) -> None:
     """Each ping is a fan of one beam where its head looked."""
-    words = ["simulate", "msis-tank", "--out", "s", "--set", "sonar.sector_deg=20"]
+    words = ["simulate", "msis-tank", "--out", "s", "--set", "sonar.sector_deg=20", "--mcap"]
     assert _run(*words, cwd=tmp_path).returncode == 0
     done = _run("info", "s", "--picture", "turn.png", "--json", cwd=tmp_path)
     (fan,) = json.loads(done.stdout)["fans"]
@@ -148,6 +149,11 @@ def test_turns_of_a_scanning_sonar_are_a_recording(tmp_path: Path) -> None:
     assert yaws == pytest.approx(heads) and heads[0] > 0.1 > -0.1 > heads[-1]
     whole = np.load(next((tmp_path / "s/pings").glob("*.npz")))["raw"]
     np.testing.assert_array_equal(np.concatenate([ping.image for ping in turns], 1), whole)
+    replayed = [one.ping for one in open_recording(tmp_path / "s/pings.mcap")]
+    assert [one.geometry for one in replayed] == [one.geometry for one in turns]
+    # by the standard messages alone: the beam's width is not in them
+    told = list(open_recording(tmp_path / "s/pings.mcap", Reading(pose_topic="/odometry")))
+    assert [one.ping.geometry.mount.yaw_rad for one in told] == pytest.approx(yaws, abs=1e-9)
 
 
 def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:

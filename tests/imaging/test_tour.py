@@ -172,7 +172,7 @@ def test_the_command_writes_images_and_the_true_pose_of_each_ping(tmp_path: Path
     done = subprocess.run(
         [
             sys.executable, "-m", "insonify", "fly", "tank", "--waypoints", "-3 0 -2; -2.5 0 -2",
-            "--sonars", "sonars.toml", "--out", "out", "--json",
+            "--sonars", "sonars.toml", "--out", "out", "--json", "--mcap",
         ],
         cwd=tmp_path, capture_output=True, text=True, check=False,
     )  # fmt: skip
@@ -194,6 +194,10 @@ def test_the_command_writes_images_and_the_true_pose_of_each_ping(tmp_path: Path
         assert one.pose.x_m == pytest.approx(float(row["estimated_x_m"]))
         assert one.ping.time_s == pytest.approx(float(row["time_s"]))
     assert heard[0].ping.geometry.bins == 40 and heard[0].ping.geometry.beams == 8
+    for one, again in zip(heard, open_recording(tmp_path / "out/pings.mcap"), strict=True):
+        np.testing.assert_array_equal(one.ping.image, again.ping.image)
+        assert one.ping.geometry == again.ping.geometry
+        assert one.pose == again.pose and one.true_pose == again.true_pose
 
 
 def test_flatfish_over_the_sunken_ship() -> None:

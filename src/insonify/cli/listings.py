@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import textwrap
+from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from insonify.cli.root import JsonOption, app, print_listing
 
@@ -29,10 +33,19 @@ def scenarios(as_json: JsonOption = False) -> None:
 
 
 @app.command()
-def sonars(as_json: JsonOption = False) -> None:
-    """List the sonars known by name."""
+def sonars(
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE]", help="An SDF world or model, or a Stonefish .scn."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the sonars known by name, or those that a world describes, as --sonar FILE.toml."""
     from insonify.sonar.devices import sonar_presets
 
+    if file is not None:
+        _list_described(file, as_json)
+        return
     rows = [{"name": name, **table} for name, table in sonar_presets().items()]
     if as_json:
         print(json.dumps(rows, indent=2))
@@ -47,6 +60,21 @@ def sonars(as_json: JsonOption = False) -> None:
         unconfirmed = ", ".join(row["unconfirmed"]) or "nothing"
         about = f"{row['source']}. Not confirmed: {unconfirmed}."
         print(textwrap.fill(about, 88, initial_indent="    ", subsequent_indent="    "))
+
+
+def _list_described(file: Path, as_json: bool) -> None:
+    """The sonars of a world, each as the TOML of a device."""
+    from insonify.config.settings import validated
+    from insonify.config.toml import to_toml
+    from insonify.sonar.described import described_sonars
+    from insonify.sonar.devices import SonarDevice
+
+    devices = [validated(SonarDevice, table, where=str(file)) for table in described_sonars(file)]
+    if as_json:
+        print(json.dumps([device.model_dump(mode="json") for device in devices], indent=2))
+        return
+    for device in devices:
+        print(to_toml(device, f"--sonar '{file}#{device.name}', or this as a file"))
 
 
 @app.command()

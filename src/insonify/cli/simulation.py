@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from insonify.config.settings import Table
     from insonify.imaging.route import Record, Simulation
     from insonify.mission.result import ImagesResult
+    from insonify.sonar.devices import SonarDevice
+    from insonify.sonar.water import WaterSettings
 
 
 WorldArgument = Annotated[
@@ -45,6 +47,9 @@ WorldArgument = Annotated[
         help="SDF world or model, mesh file, scenario, or tank, grid, structures; or a named "
         "simulation: fls-tank, fls-grid, fls-structures, msis-tank, msis-turning, msis-structures."
     ),
+]
+McapOption = Annotated[
+    bool, typer.Option("--mcap", help="Also a ROS 2 recording, pings.mcap, to replay elsewhere.")
 ]
 PoseOption = Annotated[
     str | None,
@@ -77,6 +82,7 @@ def simulate(
     camera: Annotated[
         bool, typer.Option("--camera", help="A camera's picture beside each ping (OpenGL).")
     ] = False,
+    mcap: McapOption = False,
     seed: Annotated[int | None, typer.Option(help="Seed of the noise.")] = None,
     search: SearchOption = None,
     materials: MaterialsOption = None,
@@ -92,7 +98,7 @@ def simulate(
     chosen = choices(sonar=absolute(sonar), model=model, renderer=renderer, seed=seed)
     chosen |= world_table(search, materials) | _route(pose, path, orbit)
     full = simulation_config(*world_and_layers(world, config, settings, chosen))
-    _simulate(full, out, force=force, truth=truth, camera=camera, as_json=as_json)
+    _simulate(full, out, force=force, truth=truth, camera=camera, mcap=mcap, as_json=as_json)
 
 
 def _simulate(
@@ -102,6 +108,7 @@ def _simulate(
     force: bool,
     truth: bool,
     camera: bool,
+    mcap: bool,
     as_json: bool,
 ) -> None:
     from insonify.imaging.route import simulate as run
@@ -122,6 +129,8 @@ def _simulate(
                 if interrupted():
                     break
         result = writer.finish()
+        if mcap:
+            write_mcap({"sonar": config.sonar}, config.water, place.scratch)
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:
@@ -129,6 +138,18 @@ def _simulate(
     print(f"Results: {place.target}", file=sys.stderr)
     if interrupted():
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def write_mcap(
+    devices: Mapping[str, SonarDevice], water: WaterSettings, folder: Path, *, flown: bool = False
+) -> None:
+    """Write what sonars left in a result's folder as a recording beside it."""
+    from insonify.io.recordings import open_recording
+    from insonify.results.replay import PINGS, save_replay
+
+    heard = {name: open_recording(folder / f"{name}.npz" if flown else folder) for name in devices}
+    frequencies = {name: 1e3 * device.frequency_khz for name, device in devices.items()}
+    save_replay(heard, folder / PINGS, frequencies, water.sound_speed_mps)
 
 
 def _route(pose: str | None, path: Path | None, orbit: str | None) -> Table:

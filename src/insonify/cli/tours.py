@@ -29,6 +29,7 @@ from insonify.cli.root import (
     single_layers,
     world_table,
 )
+from insonify.cli.simulation import McapOption, write_mcap
 from insonify.cli.vehicles import (
     CurrentOption,
     NavigationOption,
@@ -67,6 +68,7 @@ def fly(
         str | None,
         typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [[sonars]]."),
     ] = None,
+    mcap: McapOption = False,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
     real_time: RealTimeOption = False,
     search: SearchOption = None,
@@ -89,7 +91,7 @@ def fly(
     ) | world_table(search, materials)
     full = tour_config([*file_layers(config), chosen, *single_layers(settings)])
     pace = wall_clock() if real_time else lambda time_s: None
-    _fly(full, out, force=force, as_json=as_json, pace=pace)
+    _fly(full, out, force=force, mcap=mcap, as_json=as_json, pace=pace)
 
 
 def _fly(
@@ -97,6 +99,7 @@ def _fly(
     out: Path | None,
     *,
     force: bool,
+    mcap: bool,
     as_json: bool,
     pace: Callable[[float], None],
 ) -> None:
@@ -115,6 +118,9 @@ def _fly(
         craft, reason = _flown(tour(config, scene, pace), writer, bar, interrupted)
         bar.show(name="writing")
         result = writer.finish(craft, reason)
+        if mcap:
+            devices = {one.name: one.sonar for one in config.sonars if result.pings[one.name]}
+            write_mcap(devices, config.water, place.scratch, flown=True)
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:

@@ -22,11 +22,11 @@ _PATH_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "IGN_GAZEBO_RESO
 _NEWEST = (1, 12)
 
 
-def parse_sdf(path: Path) -> ET.Element:
-    """The root of an SDF file; tags keep their prefix as it is written.
+def parse_xml(path: Path) -> ET.Element:
+    """The root of an XML file; tags keep their prefix as it is written.
 
     Raises:
-        WorldError: The file is missing, not XML, not SDF, or of a version not known.
+        WorldError: The file is missing, or not XML.
     """
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate()  # without namespaces: `insonify:reflectance` needs no xmlns
@@ -40,6 +40,16 @@ def parse_sdf(path: Path) -> ET.Element:
         raise WorldError(f"{path}: there is no such file; check the path") from err
     except (OSError, expat.ExpatError, AssertionError) as err:
         raise WorldError(f"{path}: cannot be read as XML ({err})") from err
+    return root
+
+
+def parse_sdf(path: Path) -> ET.Element:
+    """The root of an SDF file.
+
+    Raises:
+        WorldError: The file is missing, not XML, not SDF, or of a version not known.
+    """
+    root = parse_xml(path)
     if root.tag != "sdf":
         raise WorldError(f"{path}: not an SDF file, its root is <{root.tag}> and not <sdf>")
     version = root.get("version", "")

@@ -16,6 +16,8 @@ from insonify.errors import ConfigError
 from insonify.frames import compose
 from insonify.types import FanGeometry, Pose
 
+WORLDS = (".sdf", ".world", ".scn")
+"""Files of simulated worlds, which may describe sonars (`insonify.sonar.described`)."""
 _ABOUT = ("source", "unconfirmed")
 
 
@@ -160,7 +162,11 @@ def named_device(name: str, tilt_deg: float = 0.0) -> SonarDevice:
 
 
 def _preset_table(name: str) -> Table:
-    if name.endswith(".toml"):
+    if name.partition("#")[0].endswith(WORLDS):
+        from insonify.sonar.described import described_sonar
+
+        table = described_sonar(name)
+    elif name.endswith(".toml"):
         table = {"name": Path(name).stem, **read_table(Path(name), "sonar file")}
     elif name in sonar_presets():
         table = {"name": name, **sonar_presets()[name]}

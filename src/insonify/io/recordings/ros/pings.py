@@ -137,7 +137,9 @@ class PingDecoder:
             self.axes = plane.custom
             mount = self._seat(plane.frame_from_sonar, plane.frame_from_custom)
             self._note_axes(mount, plane)
-            self._keep(key, plane.azimuths_rad, ranges, self._elevation(height), mount)
+            across = message.ping_info.rx_beamwidths
+            width = float(across[0]) if len(across) else 0.0
+            self._keep(key, plane.azimuths_rad, ranges, self._elevation(height), mount, width)
         return pixels, self._fans[key]
 
     def _OculusPing(self, message: Any) -> tuple[Array, EvenFan]:  # noqa: N802
@@ -202,14 +204,24 @@ class PingDecoder:
             self.doubts.append(words)
 
     def _keep(
-        self, key: Any, azimuths: Float64, ranges: Float64, height: float, mount: Pose
+        self,
+        key: Any,
+        azimuths: Float64,
+        ranges: Float64,
+        height: float,
+        mount: Pose,
+        width: float = 0.0,
     ) -> None:
-        """Keep the fan of beams at azimuths in the order of the image."""
+        """Keep the fan of beams at azimuths in the order of the image, a lone one of a width."""
+        if len(azimuths) == 1 and not 0.0 < width <= math.pi:
+            raise ValueError("it has one beam, and its width (rx_beamwidths) is not told")
         port_first = bool(azimuths[0] >= azimuths[-1])
         mirrored = self.reading.mirrors(port_first)
         self.columns = columns(port_first ^ mirrored)
         order = np.argsort(-azimuths, kind="stable")
-        fan = even_fan(azimuths[order], ranges, height, mount, mirrored=mirrored)
+        fan = even_fan(
+            azimuths[order], ranges, height, mount, lone_beam_rad=width, mirrored=mirrored
+        )
         self._fans[key] = fan.reordered(order)
 
     def _elevation(self, told_rad: float) -> float:

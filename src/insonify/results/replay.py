@@ -1,0 +1,83 @@
+"""What was simulated as a recording in MCAP, for the tools that users replay recordings in."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from insonify.frames import transform_from_pose
+from insonify.io.recordings.recording import Recording
+from insonify.io.recordings.ros import messages
+from insonify.io.recordings.ros.mcap_writing import McapWriter
+from insonify.types import PosedPing
+
+PINGS = "pings.mcap"
+_STEP_NS = 100_000_000
+"""From ping to ping where they have no times."""
+_NO_GENERATOR = np.zeros(0, np.uint64)
+
+
+def save_replay(
+    recordings: Mapping[str, Recording],
+    path: Path,
+    frequency_hz: Mapping[str, float],
+    sound_speed_mps: float,
+) -> None:
+    """Write what sonars heard as one MCAP file, in the order of time.
+
+    Topics ``/NAME/image`` (ProjectedSonarImage), ``/NAME/state`` (PingState) and ``/NAME/polar`` of
+    each sonar, ``/odometry``, ``/ground_truth/odometry`` and ``/tf``: map, odom, base_link, NAME.
+
+    Args:
+        recordings: By the sonars' names, which are those of their topics and frames.
+        path: The file.
+        frequency_hz: Of each sonar.
+        sound_speed_mps: Told in each ping.
+    """
+    with McapWriter(path) as writer:
+        last_ns = -1
+        for time_ns, name, posed in heapq.merge(*map(_timed, recordings.items()), key=_when):
+            now = max(time_ns, last_ns + 1)  # a state is found by its stamp
+            last_ns = now
+            _write(writer, name, posed, now, frequency_hz[name], sound_speed_mps)
+
+
+def _when(one: tuple[int, str, PosedPing]) -> tuple[int, str]:
+    return one[0], one[1]
+
+
+def _timed(named: tuple[str, Recording]) -> Iterator[tuple[int, str, PosedPing]]:
+    """A recording's pings with times that rise."""
+    name, recording = named
+    last_ns = -_STEP_NS
+    for posed in recording:
+        time_ns = round(posed.ping.time_s * 1e9)
+        last_ns = time_ns if time_ns > last_ns else last_ns + _STEP_NS
+        yield last_ns, name, posed
+
+
+def _write(
+    writer: McapWriter, name: str, posed: PosedPing, now: int, frequency_hz: float, speed_mps: float
+) -> None:
+    ping, pose = posed.ping, posed.pose
+    assert pose is not None
+    truth = posed.true_pose or pose
+    sonar = transform_from_pose(ping.geometry.mount) @ messages.IMAGE_FROM_SONAR
+    links = [
+        ("map", "odom", np.eye(4)),
+        ("odom", "base_link", transform_from_pose(pose)),
+        ("base_link", name, sonar),
+    ]
+    told = {
+        "/tf": messages.transforms(links, now),
+        "/odometry": messages.odometry(pose, now, "odom"),
+        "/ground_truth/odometry": messages.odometry(truth, now, "map"),
+        f"/{name}/state": messages.ping_state(ping, pose, truth, _NO_GENERATOR, now, name),
+        f"/{name}/image": messages.sonar_image(ping, now, name, frequency_hz, speed_mps),
+        f"/{name}/polar": messages.polar_picture(ping, now, name),
+    }
+    for topic, message in told.items():
+        writer.write(topic, message, now)
