@@ -303,3 +303,17 @@ def test_matrices_and_angles_that_cannot_be_meant_are_refused(tmp_path: Path) ->
     np.savez(path, images=images, pose_body=np.array([[0, 0, 0, 0, 0, 90.0]]), **fan)
     with pytest.raises(RecordingError, match=r"an angle of 90, .*degrees"):
         open_recording(path)
+
+
+def test_no_pose_is_made_up_where_the_vehicle_jumps() -> None:
+    """At rest, then 50 m away a tenth of a second later; what the user says is taken as it is."""
+    rows = np.zeros((40, 8))
+    rows[:, 0], rows[20:, 1], rows[:, 7] = 0.1 * np.arange(40), 50.0, 1.0
+    track = PoseTrack(rows)
+    assert track.at(1.95) is None and track.at(1.85) is not None and track.at(2.05) is not None
+    given = PoseTrack(rows, 1.0).at(1.95)
+    assert given is not None and given.x_m == pytest.approx(25.0)
+    steady = PoseTrack(
+        np.column_stack([np.arange(9.0), 20.0 * np.arange(9.0), np.zeros((9, 5)), np.ones(9)])
+    )
+    assert steady.at(3.5) is not None  # fast, and always so

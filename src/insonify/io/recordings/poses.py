@@ -21,7 +21,7 @@ from insonify.types import Float64, Pose
 MOST_POSE_FILE_BYTES = 1 << 30
 
 
-_STEPS_A_GAP, _LEAST_GAP_S = 5.0, 1.0
+_STEPS_A_GAP, _LEAST_GAP_S, _LEAST_JUMP_MPS = 5.0, 1.0, 5.0
 
 
 class PoseTrack:
@@ -36,7 +36,9 @@ class PoseTrack:
 
         Args:
             rows: The poses.
-            max_gap_s: By default five times the median time from pose to pose, a second at least.
+            max_gap_s: By default five times the median time from pose to pose, a second at least;
+                and then there is no pose either where the vehicle jumps, at five times its median
+                speed and 5 m/s at least.
 
         Raises:
             ValueError: A number is not finite, a quaternion has no length, or time goes back.
@@ -57,6 +59,7 @@ class PoseTrack:
         steps = steps[steps > 0.0]
         own = max(_LEAST_GAP_S, _STEPS_A_GAP * float(np.median(steps))) if len(steps) else 0.0
         self.max_gap_s = own if max_gap_s is None else max_gap_s
+        self._fastest_mps = np.inf if max_gap_s is not None else _fastest(rows)
 
     @classmethod
     def of(cls, poses: Iterable[tuple[float, Pose]]) -> PoseTrack:
@@ -85,7 +88,7 @@ class PoseTrack:
         return pose_from_quaternion(self._rows[number, 1:4], self._rows[number, 4:])
 
     def at(self, time_s: float) -> Pose | None:
-        """The pose at a time; None before the first, after the last, and within too long a gap."""
+        """The pose at a time; None before the first, after the last, in a long gap or a jump."""
         times = self._rows[:, 0]
         after = int(np.searchsorted(times, time_s))
         if after < len(times) and times[after] == time_s:
@@ -93,11 +96,22 @@ class PoseTrack:
         if after == 0 or after == len(times):
             return None
         start, end = self._rows[after - 1], self._rows[after]
-        if end[0] - start[0] > self.max_gap_s:
+        gap_s = float(end[0] - start[0])
+        jump = float(np.linalg.norm(end[1:4] - start[1:4])) > self._fastest_mps * gap_s
+        if gap_s > self.max_gap_s or jump:
             return None
         share = float((time_s - start[0]) / (end[0] - start[0]))
         position = (1.0 - share) * start[1:4] + share * end[1:4]
         return pose_from_quaternion(position, slerp(start[4:], end[4:], share))
+
+
+def _fastest(rows: Float64) -> float:
+    """The speed in m/s beyond which poses jump."""
+    steps = np.diff(rows[:, 0])
+    moves = np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1)[steps > 0.0]
+    speeds = moves / steps[steps > 0.0]
+    usual = float(np.median(speeds)) if len(speeds) else 0.0
+    return max(_LEAST_JUMP_MPS, _STEPS_A_GAP * usual)
 
 
 def is_pose(row: Sequence[float]) -> bool:

@@ -81,6 +81,8 @@ def _facts(index: Index, topic: str, poses: Whereabouts, decoder: PingDecoder) -
         "poses": poses.source,
         "doubts": [*poses.doubts, *decoder.doubts],
     }
+    if index.undecoded:
+        facts["messages_not_decoded"] = index.undecoded
     if poses.track is not None:
         facts["max_gap_s"] = poses.track.max_gap_s
     return facts
