@@ -9,6 +9,7 @@ of all proportion.
 from __future__ import annotations
 
 import argparse
+import importlib
 import resource
 import shutil
 import signal
@@ -103,6 +104,17 @@ def _ping360(folder: Path, rng: np.random.Generator) -> Path:
     log = samples.ping360_log([190, 200, 210], samples.pixels(rng, 3, 200), chunk=150)
     (folder / "p.bin").write_bytes(log)
     return folder / "p.bin"
+
+
+def _sonar3d(folder: Path, rng: np.random.Generator) -> Path:
+    rip = importlib.import_module("wlsonar.range_image_protocol")
+    message = rip.RangeImage(
+        range=5.0, width=8, height=6, fov_horizontal=30.0, fov_vertical=20.0,
+        image_pixel_scale=0.001, speed_of_sound=1500.0,
+        image_pixel_data=rng.integers(0, 5000, 48).tolist(),
+    )  # fmt: skip
+    (folder / "w.sonar").write_bytes(3 * rip.packb(message))
+    return folder / "w.sonar"
 
 
 def _arrays(folder: Path, rng: np.random.Generator) -> Path:
@@ -215,6 +227,7 @@ READERS = (
     Reader("Oculus log", _oculus_log(False), _pings),
     Reader("Oculus log, packed", _oculus_log(True), _pings),
     Reader("Ping360 log", _ping360, _pings),
+    Reader("Sonar 3D-15", _sonar3d, _pings),
     Reader("arrays (.npz)", _arrays, _pings),
     Reader("arrays, images", _inside_arrays("images"), _pings, _packed),
     Reader("arrays, poses", _inside_arrays("pose_body"), _pings, _packed),

@@ -106,6 +106,8 @@ class FanGeometry:
 class Ping:
     """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean.
 
+    A pixel that is not a number is one of which nothing is known.
+
     ``time_s`` is when its sound was sent; ``head_rad`` how far to the left of its base's ahead a
     head that turns looked.
     """

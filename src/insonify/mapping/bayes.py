@@ -92,11 +92,12 @@ def count_echoes(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
     """Running count of occupied pixels of each column, and its first occupied bin.
 
     Args:
-        image: (bins, beams) in [0, 1].
+        image: (bins, beams) in [0, 1]; not a number where nothing is known.
         threshold: Brighter pixels are occupied.
 
     Returns:
-        (beams, bins + 1) counts before each bin, and (beams,) first occupied bin, ``bins`` if none.
+        (beams, bins + 1) counts before each bin, and (beams,) first bin that is occupied or not
+        known, ``bins`` if none: what lies behind says nothing.
     """
     bins, beams = image.shape
     counts = np.zeros((beams, bins + 1), np.int32)
@@ -105,7 +106,7 @@ def count_echoes(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
         for cell in range(bins):
             occupied = image[cell, beam] > threshold
             counts[beam, cell + 1] = counts[beam, cell] + occupied
-            if occupied and first[beam] == bins:
+            if first[beam] == bins and not image[cell, beam] <= threshold:
                 first[beam] = cell
     return counts, first
 

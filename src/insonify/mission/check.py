@@ -89,8 +89,9 @@ def check_recording(recording: Recording, reading: Reading = Reading()) -> Check
     """
     posed = _chosen(recording)
     fan = posed[0].ping.geometry
-    lit = noise_threshold([one.ping.image for one in posed])
-    stack = PingStack(fan, [one.ping.image for one in posed], lit)
+    images = [np.nan_to_num(one.ping.image) for one in posed]
+    lit = noise_threshold(images)
+    stack = PingStack(fan, images, lit)
     side = _side(stack, posed)
     clock, offset_s = None, 0.0
     if recording.timed:

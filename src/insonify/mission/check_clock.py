@@ -40,7 +40,9 @@ def check_clock(posed: Sequence[PosedPing], lit: float, *, mirrored: bool) -> tu
     if len(common) < _LEAST_PINGS:
         return Finding(Answer.UNKNOWN, "too few pings lie well within the time of the poses"), 0.0
     few = [common[k] for k in spread(len(common), _PINGS)]
-    stack = PingStack(posed[0].ping.geometry, [posed[k].ping.image for k in few], lit)
+    stack = PingStack(
+        posed[0].ping.geometry, [np.nan_to_num(posed[k].ping.image) for k in few], lit
+    )
     curves = [
         np.array(
             [stack.contradictions(view_of([one[k] for k in few], mirrored=side)) for one in moved]

@@ -24,7 +24,7 @@ from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
 from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK
 from insonify.mission.result import MapResult
 from insonify.planning.entropy import entropy_map
-from insonify.types import Box, FanGeometry, Pose, PosedPing
+from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing
 
 KEPT_PINGS = 6
 MOST_REGION_VOXELS = 150_000_000
@@ -154,13 +154,20 @@ def echo_threshold(recordings: Sequence[Recording]) -> int:
     most = 0
     for recording in recordings:
         stride = max(1, recording.count // _NOISE_PINGS)
-        images = [one.ping.image for one in itertools.islice(recording, 0, None, stride)]
+        images = [
+            np.nan_to_num(one.ping.image) for one in itertools.islice(recording, 0, None, stride)
+        ]
         if not images:
             raise RecordingError(f"{recording.path}: there are no pings in it")
         bins = Counter(len(image) for image in images).most_common(1)[0][0]
         alike = [image for image in images if len(image) == bins]
         most = max(most, math.ceil(255.0 * noise_threshold(alike)))
     return min(most, 254)
+
+
+def brightest(ping: Ping) -> float:
+    """The largest of a ping's pixels that are known; 0 if none is."""
+    return float(np.fmax.reduce(ping.image, axis=None, initial=0.0))
 
 
 def _origin(recordings: Sequence[Recording], block_m: float) -> tuple[float, float, float]:
@@ -194,7 +201,7 @@ def _map_one(
             _check_memory(remap, posed.ping.geometry)
             remap.mapper.integrate(posed.ping, posed.pose)
             remap.poses.append(posed.pose)
-            remap.brightest = max(remap.brightest, float(posed.ping.image.max(initial=0.0)))
+            remap.brightest = max(remap.brightest, brightest(posed.ping))
             mapped += 1
             if pings - 1 in kept:
                 remap.keyframes.append((recording.path.name, pings, posed))

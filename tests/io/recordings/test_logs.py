@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from benchmarks import samples
+from scipy.ndimage import maximum_filter
 
 from insonify.errors import MissingExtraError, RecordingError
 from insonify.frames import transform_from_pose
@@ -17,9 +19,10 @@ from insonify.io.recordings import open_recording
 from insonify.io.recordings.poses import read_poses
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.summary import summarise
+from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import MappingSettings
 from insonify.mission.remap import map_recordings
-from insonify.types import Pose
+from insonify.types import Box, Pose
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data" / "recordings"
 
@@ -167,6 +170,63 @@ def test_telemetry_that_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         read_poses(junk)
     with pytest.raises(RecordingError, match="no such telemetry"):
         read_poses(tmp_path / "none.tlog")
-    monkeypatch.setitem(__import__("sys").modules, "pymavlink.mavutil", None)
+    monkeypatch.setitem(sys.modules, "pymavlink.mavutil", None)
     with pytest.raises(MissingExtraError, match=r"insonify\[mavlink\]"):
         read_poses(junk)
+
+
+def test_a_real_3d_sonar_against_its_makers_own_points(tmp_path: Path) -> None:
+    """Each point lies in an occupied voxel, water lies before it, and no echo says nothing."""
+    wlsonar = pytest.importorskip("wlsonar")
+    rip = pytest.importorskip("wlsonar.range_image_protocol")
+    path = DATA / "wl3d15_ship_short.sonar"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there")
+    recording = open_recording(path)
+    assert recording.count == 6 * 256 and recording.facts["range_images"] == 6
+    first = [one.ping for one in recording][:256]
+    with path.open("rb") as file:
+        message = rip.unpack(file)
+    told = wlsonar.range_image_to_xyz(message)
+    points = np.array([[x, -y, -z] for x, y, z in filter(None, told)])  # forward, left, up
+    mapper = make_mapper("bayes", MappingSettings(voxel_m=0.1))
+    for ping in first:
+        mapper.integrate(ping, Pose(0.0, 0.0, -10.0))
+    window = mapper.voxels.window(Box((0.0, -9.0, -15.0), (14.0, 9.0, -5.0)))
+
+    def at(places: Any) -> Any:
+        index = np.floor((places - np.array([0.0, 0.0, 10.0])) / 0.1).astype(int) - window.first
+        return window.log_odds[tuple(index.T)]
+
+    assert (at(points) > 0.0).mean() > 0.9  # but for edges that another ray passes
+    before = at(0.5 * points)  # a voxel that an unknown direction crosses too stays unknown
+    assert (before <= 0.0).mean() > 0.96 and (before < 0.0).mean() > 0.4
+    heard = np.array([point is not None for point in told]).reshape(message.height, message.width)
+    alone = np.argwhere(~maximum_filter(heard, 7))  # whose neighbours heard nothing either
+    assert len(alone) > 200
+    up = np.radians((alone[:, 0] / (message.height - 1) - 0.5) * message.fov_vertical)
+    yaw = np.radians((0.5 - alone[:, 1] / (message.width - 1)) * message.fov_horizontal)
+    away = np.stack([np.cos(up) * np.cos(yaw), np.cos(up) * np.sin(yaw), np.sin(up)], axis=1)
+    assert (at(3.0 * away) == 0.0).all()
+
+
+def test_a_3d_recording_that_is_damaged_or_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rip = pytest.importorskip("wlsonar.range_image_protocol")
+    message = rip.RangeImage(
+        range=5.0, width=4, height=3, fov_horizontal=30.0, fov_vertical=20.0,
+        image_pixel_scale=0.001, speed_of_sound=1500.0, image_pixel_data=[0, 2000] * 6,
+    )  # fmt: skip
+    packet = rip.packb(message)
+    path = _file(tmp_path, "a.sonar", 2 * packet)
+    assert open_recording(path).count == 8
+    ping = next(iter(open_recording(path))).ping
+    assert np.isnan(ping.image).all()  # the first column heard nothing
+    with pytest.warns(RecordingWarning, match="damaged or cut off"):
+        assert open_recording(_file(tmp_path, "c.sonar", packet + packet[:-5])).count == 4
+    with pytest.raises(RecordingError, match="--beams"):
+        open_recording(path, Reading(beams="port-to-starboard"))
+    monkeypatch.setitem(sys.modules, "wlsonar.range_image_protocol", None)
+    with pytest.raises(MissingExtraError, match=r"insonify\[waterlinked\]"):
+        open_recording(path)

@@ -16,6 +16,8 @@ from insonify.io.recordings.oculus_log import START as LOG_START
 from insonify.io.recordings.ping360 import PLAIN_START as PING_VIEWER_PLAIN
 from insonify.io.recordings.ping360 import START as PING_VIEWER
 from insonify.io.recordings.ping360 import read_ping360
+from insonify.io.recordings.range_images import STARTS as RANGE_IMAGES
+from insonify.io.recordings.range_images import read_range_images
 from insonify.io.recordings.recording import Reading, Recording, in_our_axes, with_poses
 from insonify.io.recordings.simulated import read_simulated
 
@@ -80,12 +82,14 @@ def _file(path: Path, head: bytes, reading: Reading) -> Recording:
         return read_oculus(path, reading)
     if head[:16] in (PING_VIEWER[:16], PING_VIEWER_PLAIN[:16]):
         return read_ping360(path, reading)
+    if head[:4] in RANGE_IMAGES:
+        return read_range_images(path, reading)
     if head[:2] == b"PK":
         return read_arrays(path, reading)
     if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
         raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
     raise RecordingError(
         f"{path}: of no known format (it begins with {head[:8]!r}); known are MCAP, ROS bags, "
-        "ARIS version 5, Oculus pings and logs, Ping360 logs, NumPy archives (.npz) and folders of "
-        "images"
+        "ARIS version 5, Oculus pings and logs, Ping360 logs, Sonar 3D-15 (.sonar), NumPy archives "
+        "(.npz) and folders of images"
     )

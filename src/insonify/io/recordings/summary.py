@@ -40,8 +40,9 @@ def summarise(recording: Recording) -> tuple[dict[str, Any], Ping | None]:
         if recorded.pose is not None:
             poses.append(recorded.pose)
         count += 1
-        brightest = max(brightest, float(ping.image.max()))
-        total += float(ping.image.mean())
+        known = np.nan_to_num(ping.image)
+        brightest = max(brightest, float(known.max()))
+        total += float(known.mean())
     summary: dict[str, Any] = {
         "file": str(recording.path),
         "format": recording.format,
