@@ -28,7 +28,7 @@ from insonify.cli.root import (
     print_report,
     single_layers,
 )
-from insonify.cli.words import summary_rows
+from insonify.cli.words import pose_rows, summary_rows
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
@@ -73,8 +73,16 @@ def info(
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
     from insonify.io.recordings import open_recording
-    from insonify.io.recordings.summary import summarise
+    from insonify.io.recordings.poses import read_poses
+    from insonify.io.recordings.summary import summarise, summarise_poses
 
+    if file.suffix.lower() == ".tlog":
+        told = summarise_poses(file, read_poses(file))
+        if as_json:
+            print(json.dumps(told, indent=2))
+        else:
+            print_listing(["what", "value"], pose_rows(told))
+        return
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file

@@ -45,6 +45,18 @@ def summary_rows(summary: dict[str, Any]) -> list[list[str]]:
     return [*rows, *(["assumed", doubt] for doubt in doubts)]
 
 
+def pose_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Rows of a table for `insonify.io.recordings.summary.summarise_poses`."""
+    box = zip(("east", "north", "up"), summary["low_m"], summary["high_m"], strict=True)
+    return [
+        *([key, str(summary[key])] for key in ("file", "format", "poses")),
+        ["first pose", _moment(summary["first_s"])],
+        ["duration", f"{summary['duration_s']:.3f} s"],
+        ["path", f"{summary['path_m']:.3f} m"],
+        *([name, f"{low:g} to {high:g} m"] for name, low, high in box),
+    ]
+
+
 def _moment(time_s: float) -> str:
     """A time of a clock; of one that counts from 1970, as a date."""
     if not _EPOCH_S < time_s < 4e9:

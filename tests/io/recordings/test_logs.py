@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from benchmarks import samples
 from scipy.ndimage import maximum_filter
+from typer.testing import CliRunner
 
+from insonify.cli import app
 from insonify.errors import MissingExtraError, RecordingError
 from insonify.frames import transform_from_pose
 from insonify.io.recordings import open_recording
@@ -158,6 +160,10 @@ def test_the_real_dive_against_what_is_known_of_it() -> None:
     assert max(abs(pose.z_m) for pose in poses) < 0.35
     assert all(-0.69 <= pose.y_m <= 0.96 for pose in poses)  # north
     yaws = [math.degrees(math.remainder(math.pi / 2 - pose.yaw_rad, math.tau)) for pose in poses]
+    shown = CliRunner().invoke(app, ["info", str(path)]).stdout
+    assert "2023-05-04 17:15:4" in shown and "poses and no pings" in shown
+    with pytest.raises(RecordingError, match="--poses"):
+        open_recording(path)
     assert min(yaws) == pytest.approx(-167.0, abs=0.5) and max(yaws) == pytest.approx(
         -118.9, abs=0.5
     )

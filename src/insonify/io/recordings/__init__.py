@@ -86,6 +86,10 @@ def _file(path: Path, head: bytes, reading: Reading) -> Recording:
         return read_range_images(path, reading)
     if head[:2] == b"PK":
         return read_arrays(path, reading)
+    if path.suffix.lower() == ".tlog":
+        raise RecordingError(
+            f"{path}: telemetry, which holds poses and no pings; give it to one with --poses"
+        )
     if head[:2] in _PICKLES or path.suffix in {".pkl", ".pickle"}:
         raise RecordingError(f"{path}: a Python pickle; those run code and are not read")
     raise RecordingError(

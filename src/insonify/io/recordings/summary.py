@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from insonify.io.recordings.poses import path_length_m
+from insonify.io.recordings.poses import PoseTrack, path_length_m
 from insonify.io.recordings.recording import Recording
 from insonify.types import FanGeometry, Ping, Pose
 
@@ -58,6 +59,23 @@ def summarise(recording: Recording) -> tuple[dict[str, Any], Ping | None]:
         "says": recording.facts,
     }
     return summary, swept(turn) if turn else middle
+
+
+def summarise_poses(path: Path, track: PoseTrack) -> dict[str, Any]:
+    """What `info` prints of poses alone, JSON-ready."""
+    poses = [track.sample(number) for number in range(len(track))]
+    first_s, last_s = track.span_s
+    places = np.array([pose.position_m for pose in poses])
+    return {
+        "file": str(path),
+        "format": "telemetry: poses and no pings, for --poses",
+        "poses": len(poses),
+        "first_s": first_s,
+        "duration_s": round(last_s - first_s, 6),
+        "path_m": round(path_length_m(poses), 3),
+        "low_m": [round(float(c), 3) for c in places.min(axis=0)],
+        "high_m": [round(float(c), 3) for c in places.max(axis=0)],
+    }
 
 
 def swept(pings: Sequence[Ping]) -> Ping:
