@@ -28,6 +28,7 @@ from typer.testing import CliRunner
 from insonify.cli import app
 from insonify.errors import ConfigError, InsonifyError, OutputError
 from insonify.imaging.dataset import Shots, dataset_config
+from insonify.io.recordings import open_recording
 from insonify.results.dataset import write_dataset
 from insonify.results.dataset.coco import run_lengths
 from insonify.scene.named import named_scene
@@ -285,3 +286,14 @@ def test_the_loader_in_the_docs(folder: Path) -> None:
     np.testing.assert_array_equal(image[0], store.image[4])
     np.testing.assert_array_equal(label, store.label[4].values + 1)
     assert label.dtype == np.int64
+
+
+def test_the_views_as_a_recording(tmp_path: Path) -> None:
+    """The same images and poses by MCAP as in the store."""
+    _make(tmp_path / "d", "--count", "3", "--workers", "1", "--mcap")
+    store = xarray.open_zarr(tmp_path / "d/dataset.zarr")
+    views = list(open_recording(tmp_path / "d/pings.mcap"))
+    assert len(views) == 3
+    for number, view in enumerate(views):
+        np.testing.assert_array_equal(view.ping.image, store.image[number])
+        assert view.pose is not None and view.pose.x_m == float(store.x_m[number])

@@ -29,6 +29,7 @@ from insonify.cli.root import (
     world_and_layers,
     world_table,
 )
+from insonify.cli.simulation import McapOption
 
 if TYPE_CHECKING:
     from insonify.mission.result import DatasetResult
@@ -44,6 +45,7 @@ def dataset(
     model: ModelOption = None,
     renderer: RendererOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the poses and the noise.")] = None,
+    mcap: McapOption = False,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; by default one for each core.")
     ] = None,
@@ -74,6 +76,7 @@ def dataset(
             folder,
             force=force,
             workers=workers or all_cores(),
+            mcap=mcap,
             watch=lambda done: bar.show(done, note=f"{done} of {full.count}"),
             should_stop=interrupted,
         )

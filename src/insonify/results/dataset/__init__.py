@@ -25,6 +25,7 @@ from insonify.io.folders import result_folder, write_file
 from insonify.mission.result import DatasetResult
 from insonify.results.dataset import coco, store
 from insonify.results.files import save_result
+from insonify.results.replay import PINGS, save_replay
 from insonify.results.scratch import OWNER, claim, find_unfinished, keep
 
 DONE = "done"
@@ -43,6 +44,7 @@ def make_dataset(
     *,
     force: bool = False,
     workers: int = 1,
+    mcap: bool = False,
     watch: Callable[[int], None] = lambda done: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[DatasetResult | None, Path]:
@@ -55,6 +57,7 @@ def make_dataset(
         target: The folder.
         force: Replace the results in it.
         workers: Processes; more than one want the caller guarded by ``__name__ == "__main__"``.
+        mcap: Also write the views as a ROS 2 recording.
         watch: Called with the number of views that are whole, after each.
         should_stop: Asked after each view; if true the rest is left for another call.
 
@@ -83,6 +86,11 @@ def make_dataset(
         if result is None:
             _keep(place.scratch, config.count)
         else:
+            if mcap:
+                heard = {"sonar": store.as_recording(place.scratch / STORE)}
+                frequency_hz = {"sonar": 1e3 * config.sonar.frequency_khz}
+                speed_mps = config.water.sound_speed_mps
+                save_replay(heard, place.scratch / PINGS, frequency_hz, speed_mps)
             (place.scratch / OWNER).unlink()
     return result, place.target
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ import numpy as np
 from insonify.extras import optional
 from insonify.imaging.dataset import Shots
 from insonify.imaging.route import Shot
-from insonify.types import Array, Float64
+from insonify.io.recordings.recording import Recording
+from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
     "image": (np.float32, float("nan"), {"long_name": "intensity", "units": "1"}),
@@ -89,6 +91,32 @@ def finish(path: Path, shots: Shots, poses: list[list[float]]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that it is an extension of Zarr; xarray wants it
         zarr.consolidate_metadata(path)
+
+
+def as_recording(path: Path) -> Recording:
+    """The views of a whole store as pings without times, in their order."""
+    zarr = optional("zarr", "datasets", "a dataset")
+    group = zarr.open_group(path, mode="r", zarr_format=3)
+    told = dict(group.attrs)
+    poses = np.stack([group[name][:] for name in POSE], axis=1)
+    count, bins, beams = group["image"].shape
+    fan = FanGeometry(
+        azimuth_fov_rad=told["azimuth_fov_rad"],
+        elevation_fov_rad=told["elevation_fov_rad"],
+        beams=beams,
+        bins=bins,
+        range_min_m=told["range_min_m"],
+        range_max_m=told["range_max_m"],
+        mount=Pose(*told["mount_x_y_z_roll_pitch_yaw"]),
+    )
+
+    def read() -> Iterator[PosedPing]:
+        for number in range(count):
+            image = np.ascontiguousarray(group["image"][number], np.float32)
+            yield PosedPing(Ping(image, fan, float(number)), Pose(*map(float, poses[number])))
+
+    facts = {"poses": f"{count}, where they were simulated"}
+    return Recording(path, "dataset", count, False, facts, read, exact=True)
 
 
 def tidy(path: Path) -> None:
