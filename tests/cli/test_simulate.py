@@ -12,9 +12,11 @@ import pytest
 import trimesh
 from PIL import Image
 
+from insonify.errors import RecordingError
 from insonify.io.pings import load_ping
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading
+from insonify.types import Pose
 
 pytestmark = pytest.mark.slow
 
@@ -147,6 +149,11 @@ def test_turns_of_a_scanning_sonar_are_a_recording(tmp_path: Path) -> None:
     heads = [ping.head_rad for ping in turns]
     yaws = [ping.geometry.mount.yaw_rad for ping in turns]
     assert yaws == pytest.approx(heads) and heads[0] > 0.1 > -0.1 > heads[-1]
+    same = [one.ping for one in open_recording(tmp_path / "s", Reading(mount=Pose(0, 0, 0)))]
+    assert [one.geometry.mount.yaw_rad for one in same] == pytest.approx(yaws)
+    for options in ({"beams": "starboard-to-port"}, {"full_scale": 100.0}):
+        with pytest.raises(RecordingError, match=r"--(beams|scale)"):
+            open_recording(tmp_path / "s", Reading(**options))
     whole = np.load(next((tmp_path / "s/pings").glob("*.npz")))["raw"]
     np.testing.assert_array_equal(np.concatenate([ping.image for ping in turns], 1), whole)
     replayed = [one.ping for one in open_recording(tmp_path / "s/pings.mcap")]

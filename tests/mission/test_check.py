@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -181,3 +182,23 @@ def test_a_view_agrees_with_itself_better_than_with_any_other(orbit: Recording) 
     back = stack.contest(View(wrong), View(right))
     assert back.gains == pytest.approx(tuple(-gain for gain in verdict.gains))
     assert stack.contest(View(right), View(right)).pings == 0
+
+
+@pytest.mark.parametrize("yaw_deg", [20.0, 90.0])
+def test_a_mount_that_looks_aside_is_told_like_one_ahead(orbit: Recording, yaw_deg: float) -> None:
+    """The tilt of the other sign looks to the same side."""
+    aside = math.radians(yaw_deg)
+
+    def read() -> Iterator[PosedPing]:
+        for one in orbit.read():
+            assert one.pose is not None
+            mount = replace(one.ping.geometry.mount, yaw_rad=aside)
+            ping = replace(one.ping, geometry=replace(one.ping.geometry, mount=mount))
+            yield replace(one, ping=ping, pose=replace(one.pose, yaw_rad=one.pose.yaw_rad - aside))
+
+    turned = replace(orbit, read=read)
+    right = check_recording(turned)
+    assert not right.side.answer.otherwise and right.tilt.answer is Answer.RIGHT
+    wrong = check_recording(spoilt(turned, False, True))
+    assert not wrong.side.answer.otherwise and wrong.tilt.answer is Answer.WRONG
+    assert wrong.options == (f'--mount "0 0 0 0 30 {yaw_deg:g}"',)

@@ -160,7 +160,7 @@ def _spot(dtype: str, loudest: float, path: Path) -> Path:
     images[:, 49:52, 29:32] = loudest
     np.savez(
         path, images=images.astype(dtype), range_min_m=0.1, range_max_m=10.0, azimuth_deg=60.0,
-        elevation_deg=20.0, columns="port_to_starboard",
+        elevation_deg=20.0, columns="port_to_starboard", mount=np.zeros(6),
         pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (10, 1)),
     )  # fmt: skip
     return path
@@ -212,7 +212,7 @@ def test_what_the_user_says_of_an_archive_overrules_it(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     np.savez(
         path, images=images, range_min_m=0.0, range_max_m=10.0, azimuth_deg=60.0,
-        elevation_deg=2.0, columns="port_to_starboard",
+        elevation_deg=2.0, columns="port_to_starboard", mount=np.zeros(6),
         pose_body=np.tile([1.0, 2.0, 5.0, 0.0, 0.0, 0.0], (3, 1)),
     )  # fmt: skip
 
@@ -242,7 +242,7 @@ def test_the_threshold_of_a_recordings_own_noise(tmp_path: Path) -> None:
         paths.append(tmp_path / f"{name}.npz")
         np.savez(
             paths[-1], images=images.astype(np.uint8), range_min_m=0.0, range_max_m=8.0,
-            azimuth_deg=40.0, elevation_deg=10.0, columns="port_to_starboard",
+            azimuth_deg=40.0, elevation_deg=10.0, columns="port_to_starboard", mount=np.zeros(6),
             pose_body=np.tile([0.0, 0.0, -5.0, 0.0, 0.0, 0.0], (6, 1)),
         )  # fmt: skip
     quiet, loud = (echo_threshold([open_recording(path)]) for path in paths)

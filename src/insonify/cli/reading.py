@@ -140,6 +140,8 @@ def _reading(
     from insonify.sonar.devices import named_device
 
     device = named_device(sonar) if sonar is not None else None
+    if not math.isfinite(clock_offset_s):
+        raise ConfigError(f"--clock-offset takes seconds, not {clock_offset_s}")
     if max_gap_s is not None and not max_gap_s > 0.0:
         raise ConfigError(f"--max-gap takes seconds above 0, not {max_gap_s:g}")
     if full_scale is not None and not 0.0 < full_scale < math.inf:

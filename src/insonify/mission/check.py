@@ -21,7 +21,7 @@ from insonify.io.recordings.recording import BEAMS, Reading, Recording
 from insonify.mapping.consistency import PingStack, Verdict
 from insonify.mapping.echoes import noise_threshold
 from insonify.mission.check_clock import check_clock
-from insonify.mission.findings import Answer, Finding, shifted, spread, view_of
+from insonify.mission.findings import FLIP, Answer, Finding, shifted, spread, view_of
 from insonify.types import Pose, PosedPing
 
 MOST_PINGS = 150
@@ -34,7 +34,7 @@ _FLOOR = 0.35
 """So many of the first echoes on one level are a floor, or a surface."""
 _LEVEL = math.sin(math.radians(3.0))
 _SURFACE_M = 0.5
-_OVERHEAD = np.diag([1.0, -1.0, -1.0])
+_ROLLED = np.diag([1.0, -1.0, -1.0])
 _NEITHER = 0.4
 """Of echoes, contradicted at most by the better of two sides."""
 
@@ -154,7 +154,7 @@ def _side(stack: PingStack, posed: Sequence[PosedPing]) -> Finding:
     verdict = stack.contest(view_of(posed), view_of(posed, mirrored=True))
     better = _better(verdict)
     if better is None:  # perhaps the tilt is wrong, and hides it
-        tilted, over = (view_of(posed, overhead=True, mirrored=m) for m in (True, False))
+        tilted, over = (view_of(posed, tilted=True, mirrored=m) for m in (False, True))
         other = stack.contest(tilted, over)
         better, verdict = (_better(other), other) if other.pings else (better, verdict)
     if better is None:
@@ -177,7 +177,7 @@ def _side(stack: PingStack, posed: Sequence[PosedPing]) -> Finding:
 def _tilt(stack: PingStack, posed: Sequence[PosedPing], *, mirrored: bool) -> Finding:
     """Whether the sonar looks down or up: by the pings, else by the floor they see."""
     base = view_of(posed, mirrored=mirrored)
-    other = view_of(posed, overhead=True, mirrored=not mirrored)
+    other = view_of(posed, tilted=True, mirrored=mirrored)
     down = -float(np.nanmean(base.world_from_sonar[:, 2, 0]))
     if abs(down) < _LEVEL:
         return Finding(Answer.ALIKE, "the sonar looks out level")
@@ -219,8 +219,9 @@ def _options(
     if not tilted or len(mounts) > 1:
         return []
     mount = transform_from_pose(posed[0].ping.geometry.mount)
-    flip = np.diag([1.0, 1.0, -1.0])
-    mount[:3, :3] = _OVERHEAD @ mount[:3, :3] if mirrored else flip @ mount[:3, :3] @ flip
+    mount[:3, :3] = FLIP @ mount[:3, :3] @ FLIP
+    if mirrored:  # a fan is as high above its plane as below: rolled over, it is its mirror image
+        mount[:3, :3] = mount[:3, :3] @ _ROLLED
     pose = pose_from_transform(mount)
     turns = (math.degrees(angle) for angle in (pose.roll_rad, pose.pitch_rad, pose.yaw_rad))
     numbers = [*pose.position_m, *turns]

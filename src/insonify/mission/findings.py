@@ -14,7 +14,8 @@ from insonify.io.recordings.poses import PoseTrack
 from insonify.mapping.consistency import Verdict, View
 from insonify.types import PosedPing
 
-_OVERHEAD = np.diag([1.0, -1.0, -1.0])
+FLIP = np.diag([1.0, 1.0, -1.0])
+"""The vehicle's up and down exchanged: a rotation between two of these has the other tilt."""
 
 
 class Answer(StrEnum):
@@ -65,14 +66,14 @@ def spread(count: int, most: int) -> list[int]:
     return sorted(set(np.linspace(0, count - 1, min(most, count)).astype(int).tolist()))
 
 
-def view_of(posed: Sequence[PosedPing], *, overhead: bool = False, mirrored: bool = False) -> View:
-    """Pings where they were, the sonar's mount turned overhead on the vehicle or not."""
+def view_of(posed: Sequence[PosedPing], *, tilted: bool = False, mirrored: bool = False) -> View:
+    """Pings where they were, the sonar's mount upside down in the vehicle's plane or not."""
     places = np.full((len(posed), 4, 4), np.nan)
     for number, one in enumerate(posed):
         if one.pose is not None:
             mount = transform_from_pose(one.ping.geometry.mount)
-            if overhead:
-                mount[:3, :3] = _OVERHEAD @ mount[:3, :3]
+            if tilted:
+                mount[:3, :3] = FLIP @ mount[:3, :3] @ FLIP
             places[number] = transform_from_pose(one.pose) @ mount
     return View(places, mirrored)
 

@@ -21,7 +21,7 @@ from insonify.io.recordings.summary import describe_fan
 from insonify.mapping.echoes import noise_threshold
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
-from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, VOXELS_PER_BLOCK
+from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, FARTHEST_BLOCK, VOXELS_PER_BLOCK
 from insonify.mission.result import MapResult
 from insonify.planning.entropy import entropy_map
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing
@@ -198,6 +198,7 @@ def _map_one(
         since = time.perf_counter()
         pings += 1
         if posed.pose is not None:
+            _check_reach(remap, recording, posed.pose)
             _check_memory(remap, posed.ping.geometry)
             remap.mapper.integrate(posed.ping, posed.pose)
             remap.poses.append(posed.pose)
@@ -293,6 +294,22 @@ def _no_pose(recording: Recording, pings: int) -> str:
         f"{recording.path}: none of its {pings} pings has a pose, so there is no map to make; give "
         f"the vehicle's poses (--poses FILE, TUM format: time x y z qx qy qz qw a line, {each})"
     )
+
+
+def _check_reach(remap: Remap, recording: Recording, pose: Pose) -> None:
+    """Refuse a pose so far from the map's origin that no map holds both.
+
+    Raises:
+        GeometryError: It is.
+    """
+    farthest_m = 0.9 * FARTHEST_BLOCK * remap.mapper.voxels.block_m
+    away_m = max(map(abs, pose.position_m))
+    if away_m > farthest_m:
+        raise GeometryError(
+            f"{recording.path}: a ping lies {away_m / 1e3:.6g} km from where the map begins, and a "
+            f"map of {remap.settings.voxel_m:g} m voxels reaches {farthest_m / 1e3:.4g} km; map "
+            "places so far apart one by one, and check the poses"
+        )
 
 
 def _check_memory(remap: Remap, geometry: FanGeometry) -> None:

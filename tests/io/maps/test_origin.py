@@ -16,7 +16,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from insonify.cli import app
-from insonify.errors import MapFileError, OutputError
+from insonify.errors import GeometryError, MapFileError, OutputError
 from insonify.io.datum import Datum
 from insonify.io.folders import result_file
 from insonify.io.maps import LOADED, SAVED, load_map, save_map
@@ -39,7 +39,7 @@ def _recording(path: Path, shift_m: tuple[float, float, float]) -> Path:
     poses[:, :3] += shift_m
     np.savez(
         path, images=images, range_min_m=0.0, range_max_m=10.0, azimuth_deg=60.0,
-        elevation_deg=20.0, columns="port_to_starboard", pose_body=poses,
+        elevation_deg=20.0, columns="port_to_starboard", mount=np.zeros(6), pose_body=poses,
     )  # fmt: skip
     return path
 
@@ -207,3 +207,15 @@ def test_the_commands_speak_of_the_world(tmp_path: Path) -> None:
     np.testing.assert_allclose(moved[:, 1:4], np.tile(UTM, (len(moved), 1)), atol=2e-6)
     np.testing.assert_allclose(moved[:, 4:], 0.0, atol=1e-6)  # the datum is the map's origin
     assert math.isfinite(told["far"]["clearance_m"])
+
+
+def test_places_too_far_apart_for_one_map_are_refused(tmp_path: Path) -> None:
+    near = open_recording(_recording(tmp_path / "near.npz", (0.0, 0.0, 0.0)))
+    far = open_recording(_recording(tmp_path / "far.npz", (5e5, 6e6, 0.0)))
+    with pytest.raises(GeometryError, match=r"far\.npz: a ping lies 6000.* km from where"):
+        map_recordings([near, far], MappingSettings())
+    apart = open_recording(_recording(tmp_path / "n.npz", (3e4, 0.0, 0.0)))
+    box = Box((0.0, -5.0, -9.0), (9.0, 5.0, -1.0))
+    both = map_recordings([near, apart], MappingSettings(), box)
+    save_map(both.mapper.voxels, tmp_path / "m.npz")
+    assert len(load_map(tmp_path / "m.npz").occupied_m()) == both.result().occupied_voxels

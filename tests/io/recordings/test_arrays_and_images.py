@@ -317,3 +317,28 @@ def test_no_pose_is_made_up_where_the_vehicle_jumps() -> None:
         np.column_stack([np.arange(9.0), 20.0 * np.arange(9.0), np.zeros((9, 5)), np.ones(9)])
     )
     assert steady.at(3.5) is not None  # fast, and always so
+
+
+def test_what_an_archive_says_is_taken_or_refused(tmp_path: Path) -> None:
+    """Columns by any spelling, poses at other times, a mount that nobody tells."""
+    images = np.zeros((5, 8, 4), np.uint8)
+    images[:, 3, 0] = 255
+    sizes = {"range_min_m": 0.0, "range_max_m": 4.0, "azimuth_deg": 40.0, "elevation_deg": 9.0}
+    body = np.zeros((5, 6))
+    body[:, 0] = np.arange(5.0)
+
+    def archive(**more: object) -> Path:
+        np.savez(tmp_path / "a.npz", images=images, pose_body=body, **sizes, **more)  # type: ignore[arg-type]
+        return tmp_path / "a.npz"
+
+    for columns in ("starboard-to-port", "starboard to port", "STARBOARD_TO_PORT"):
+        (first, *_) = open_recording(archive(columns=columns))
+        assert first.ping.image[3, 3] == 1.0
+    with pytest.raises(RecordingError, match="left_to_right"):
+        open_recording(archive(columns="left_to_right"))
+    path = archive(columns="port_to_starboard", time_s=np.arange(5.0))
+    assert "where the sonar sits" in str(open_recording(path).facts["doubts"])
+    late = list(open_recording(path, Reading(clock_offset_s=0.5)))
+    assert [one.pose and one.pose.x_m for one in late] == [0.5, 1.5, 2.5, 3.5, None]
+    with pytest.raises(RecordingError, match="no clock"):
+        open_recording(archive(), Reading(clock_offset_s=0.5))

@@ -18,7 +18,13 @@ from insonify.io.recordings.ping360 import START as PING_VIEWER
 from insonify.io.recordings.ping360 import read_ping360
 from insonify.io.recordings.range_images import STARTS as RANGE_IMAGES
 from insonify.io.recordings.range_images import read_range_images
-from insonify.io.recordings.recording import Reading, Recording, in_our_axes, with_poses
+from insonify.io.recordings.recording import (
+    Reading,
+    Recording,
+    at_other_times,
+    in_our_axes,
+    with_poses,
+)
 from insonify.io.recordings.simulated import read_simulated
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
@@ -44,7 +50,7 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
     ):
         return _bag(path, head or b"", reading)
     if head is not None:
-        recording = in_our_axes(_file(path, head, reading), reading)
+        recording = at_other_times(in_our_axes(_file(path, head, reading), reading), reading)
     else:
         recording = _folder(path, reading)
     return with_poses(recording, reading)
@@ -71,7 +77,7 @@ def _head(path: Path) -> bytes | None:
 def _folder(path: Path, reading: Reading) -> Recording:
     simulated = read_simulated(path, reading)
     if simulated is not None:
-        return in_our_axes(simulated, reading)
+        return at_other_times(in_our_axes(simulated, reading), reading)
     return read_images(path, reading)
 
 

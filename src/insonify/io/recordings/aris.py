@@ -23,6 +23,7 @@ from insonify.io.recordings.beams import EvenFan, even_fan
 from insonify.io.recordings.recording import (
     BEAMS,
     HEIGHT_UNKNOWN,
+    SEAT_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
@@ -231,7 +232,10 @@ def _facts(frame: dict[str, Any], beams: int, fan: EvenFan, reading: Reading) ->
         "bearing_last_deg": round(float(-azimuths[0]), 3),
         "beams_evened": fan.beams is not None,
         "columns": columns(reading.beams == BEAMS[0]),
-        "doubts": [] if reading.device else [HEIGHT_UNKNOWN.format(ELEVATION_DEG)],
+        "doubts": [
+            *([] if reading.device else [HEIGHT_UNKNOWN.format(ELEVATION_DEG)]),
+            *([SEAT_UNKNOWN] if reading.unseated else []),
+        ],
         "poses": "none",
     }
 

@@ -20,6 +20,7 @@ from insonify.io.archives import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
     MOST_PIXELS,
+    SEAT_UNKNOWN,
     SIDE_UNKNOWN,
     Reading,
     Recording,
@@ -58,11 +59,15 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     geometry = _geometry(path, arrays, images, reading, seat)
     times = _times(path, arrays, len(images))
     poses = _poses(path, arrays, len(images), mount)
-    starboard_first = "columns" not in arrays or str(arrays["columns"]) == "starboard_to_port"
+    starboard_first = _starboard_first(path, arrays)
     starboard_first ^= reading.mirrors(port_first=not starboard_first)
     reading, doubts = scaled(reading, images.dtype, lambda: int(images.max()))
     if "columns" not in arrays and reading.beams is None:
         doubts.append(SIDE_UNKNOWN.format("starboard"))
+    own = reading.poses is None and "pose_body" in arrays
+    seated = "mount" in arrays or reading.mount is not None or reading.device is not None
+    if not seated and (own or reading.poses is not None):
+        doubts.append(SEAT_UNKNOWN)
 
     def read() -> Iterator[PosedPing]:
         for number, pixels in enumerate(images):
@@ -201,11 +206,24 @@ def _geometry(
     )
 
 
+def _starboard_first(path: Path, arrays: dict[str, Array]) -> bool:
+    if "columns" not in arrays:
+        return True
+    told = str(arrays["columns"]).strip().lower().replace("-", "_").replace(" ", "_")
+    if told not in ("port_to_starboard", "starboard_to_port"):
+        raise RecordingError(
+            f"{path}: `columns` is {str(arrays['columns'])!r:.60}; write port_to_starboard or "
+            "starboard_to_port"
+        )
+    return told == "starboard_to_port"
+
+
 def _mount(path: Path, arrays: dict[str, Array], reading: Reading) -> Pose:
     mount = arrays.get("mount")
     if mount is not None:
         return _pose_rows(path, "mount", mount.reshape(1, -1))[0]
-    if "pose_sensor" not in arrays and reading.device is not None:
+    sensor = "pose_sensor" in arrays and reading.poses is None
+    if not sensor and reading.device is not None:
         return reading.device.geometry.mount
     return Pose(0.0, 0.0, 0.0)
 

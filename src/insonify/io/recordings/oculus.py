@@ -25,6 +25,7 @@ from insonify.io.recordings.oculus_log import Item, sonar_items
 from insonify.io.recordings.recording import (
     BEAMS,
     HEIGHT_UNKNOWN,
+    SEAT_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
@@ -114,6 +115,8 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
     fan = _fan(path, first, reading)
     if reading.device is None:
         doubts.append(HEIGHT_UNKNOWN.format(math.degrees(fan.geometry.elevation_fov_rad)))
+    if reading.unseated:
+        doubts.append(SEAT_UNKNOWN)
     facts = _facts(messages, fan) | {
         "columns": columns(reading.beams != BEAMS[1]),
         "doubts": doubts,

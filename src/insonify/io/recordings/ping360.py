@@ -24,7 +24,13 @@ import numpy as np
 from insonify.errors import RecordingError
 from insonify.frames import compose, wrapped
 from insonify.io.recordings.beams import unit_pixels
-from insonify.io.recordings.recording import Reading, Recording, RecordingWarning
+from insonify.io.recordings.recording import (
+    SEAT_UNKNOWN,
+    Reading,
+    Recording,
+    RecordingWarning,
+    check_options,
+)
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
 TITLE = "PingViewer sensor log file"
@@ -61,6 +67,7 @@ def read_ping360(path: Path, reading: Reading) -> Recording:
     """
     if path.stat().st_size > MOST_BYTES:
         raise RecordingError(f"{path}: larger than 1 GiB; split it")
+    check_options(path, reading, simulated=False, one_beam=True)
     profiles = list(_profiles(path, path.read_bytes()))
     if not profiles:
         raise RecordingError(f"{path}: no pings of a Ping360 in it")
@@ -96,6 +103,7 @@ def read_ping360(path: Path, reading: Reading) -> Recording:
             f"the sound speed is not in it; {SOUND_SPEED_MPS:g} m/s is taken",
             "its times are counted from the log's begin; --clock-offset moves them to those of "
             "the poses",
+            *([SEAT_UNKNOWN] if reading.unseated else []),
         ],
     }
     return Recording(path, "Ping360 log of Ping Viewer", len(profiles), True, facts, read)

@@ -62,13 +62,13 @@ class PoseTrack:
         self._fastest_mps = np.inf if max_gap_s is not None else _fastest(rows)
 
     @classmethod
-    def of(cls, poses: Iterable[tuple[float, Pose]]) -> PoseTrack:
+    def of(cls, poses: Iterable[tuple[float, Pose]], max_gap_s: float | None = None) -> PoseTrack:
         """From times in seconds and poses."""
         rows = []
         for time_s, pose in poses:
             rotation = transform_from_pose(pose)[:3, :3]
             rows.append([time_s, *pose.position_m, *quaternion_from_rotation(rotation)])
-        return cls(np.array(rows, np.float64).reshape(-1, 8))
+        return cls(np.array(rows, np.float64).reshape(-1, 8), max_gap_s)
 
     def __len__(self) -> int:
         return len(self._rows)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from insonify.errors import RecordingError
-from insonify.frames import enu_from_ned
+from insonify.frames import compose, enu_from_ned
 from insonify.io.recordings.beams import PixelError, bits_used
 from insonify.io.recordings.poses import PoseTrack, read_poses
 from insonify.sonar.devices import SonarDevice
@@ -71,6 +71,11 @@ class Reading:
             return self.mount
         return Pose(0.0, 0.0, 0.0) if self.device is None else self.device.geometry.mount
 
+    @property
+    def unseated(self) -> bool:
+        """Whether poses are given, and nobody says where the sonar sits on what they pose."""
+        return self.poses is not None and self.mount is None and self.device is None
+
     def mirrors(self, port_first: bool) -> bool:
         """Whether the user says that beams run the other way than they seem to."""
         return self.beams is not None and (self.beams == BEAMS[0]) != port_first
@@ -122,8 +127,52 @@ def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
     if reading.mirrors(port_first=True):
         ping = replace(ping, image=np.ascontiguousarray(ping.image[:, ::-1]))
     if reading.mount is not None:
-        ping = replace(ping, geometry=replace(ping.geometry, mount=reading.mount))
+        mount = reading.mount
+        if ping.head_rad:  # it is the base that the user tells of, and the head turns on it
+            mount = compose(mount, Pose(0.0, 0.0, 0.0, yaw_rad=ping.head_rad))
+        ping = replace(ping, geometry=replace(ping.geometry, mount=mount))
     return replace(posed, ping=ping)
+
+
+def check_options(path: Path, reading: Reading, *, simulated: bool, one_beam: bool) -> None:
+    """Refuse what has no meaning for a recording.
+
+    Raises:
+        RecordingError: It says something that would do nothing.
+    """
+    if simulated and reading.full_scale is not None:
+        raise RecordingError(f"{path}: its pixels are the simulator's, from 0 to 1; no --scale")
+    if one_beam and reading.beams is not None:
+        raise RecordingError(
+            f"{path}: a sonar of one beam has no columns for --beams to order; a head upside down "
+            "is --mount with a roll of 180"
+        )
+
+
+def at_other_times(recording: Recording, reading: Reading) -> Recording:
+    """A recording with poses of its own, looked up at the times that a clock offset tells.
+
+    Raises:
+        RecordingError: It has no clock.
+    """
+    if reading.clock_offset_s == 0.0 or reading.poses is not None:
+        return recording
+    if not recording.timed:
+        raise RecordingError(f"{recording.path}: it has no clock, so --clock-offset says nothing")
+    known = [(one.ping.time_s, one.pose) for one in recording.read() if one.pose is not None]
+    if not known:
+        return recording
+    try:
+        track = PoseTrack.of(known, reading.max_gap_s)
+    except ValueError as err:
+        raise RecordingError(f"{recording.path}: {err}, so --clock-offset cannot be used") from err
+
+    def read() -> Iterator[PosedPing]:
+        for posed in recording.read():
+            pose = track.at(posed.ping.time_s + reading.clock_offset_s)
+            yield replace(posed, pose=pose)
+
+    return replace(recording, read=read)
 
 
 def in_our_axes(recording: Recording, reading: Reading) -> Recording:
@@ -172,6 +221,10 @@ def span(values: Sequence[float]) -> float | list[float] | None:
 SIDE_UNKNOWN = (
     "it does not say on which side its columns begin; {} is assumed, and if that is wrong the map "
     "is a mirror image (--beams says which, `insonify check` finds out)"
+)
+SEAT_UNKNOWN = (
+    "where the sonar sits on the vehicle is not in it; it is taken to sit in the vehicle's frame, "
+    "unturned (--mount, or --sonar FILE.toml, says better)"
 )
 HEIGHT_UNKNOWN = (
     "how high its beams are is not in it; a nominal {:g} degrees is taken (--sonar says better)"

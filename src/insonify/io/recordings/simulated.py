@@ -16,6 +16,7 @@ from insonify.io.recordings.recording import (
     Reading,
     Recording,
     RecordingWarning,
+    check_options,
     columns,
     corrected,
 )
@@ -34,6 +35,7 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
     if not files or not (path / "config.toml").is_file():
         return None
     turns = is_sweep(files[0])
+    check_options(path, reading, simulated=True, one_beam=turns)
     count = len(files)
     if turns:
         count *= len(load_sweep(files[0]))
@@ -77,6 +79,7 @@ def read_tour(path: Path, reading: Reading) -> Recording:
             raise ValueError("its tables are not of one length")
     except (*DAMAGE, KeyError) as err:
         raise RecordingError(f"{path}: damaged ({reason(err)})") from err
+    check_options(path, reading, simulated=True, one_beam=beams == 1)
 
     def read() -> Iterator[PosedPing]:
         for number in range(count):

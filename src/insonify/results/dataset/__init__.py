@@ -87,12 +87,16 @@ def make_dataset(
             _keep(place.scratch, config.count)
         else:
             if mcap:
-                heard = {"sonar": store.as_recording(place.scratch / STORE)}
-                frequency_hz = {"sonar": 1e3 * config.sonar.frequency_khz}
-                speed_mps = config.water.sound_speed_mps
-                save_replay(heard, place.scratch / PINGS, frequency_hz, speed_mps)
+                _write_replay(config, place.scratch)
             (place.scratch / OWNER).unlink()
     return result, place.target
+
+
+def _write_replay(config: Dataset, folder: Path) -> None:
+    """Write the views of a whole dataset as a ROS 2 recording."""
+    heard = {"sonar": store.as_recording(folder / STORE)}
+    frequency_hz = {"sonar": 1e3 * config.sonar.frequency_khz}
+    save_replay(heard, folder / PINGS, frequency_hz, config.water.sound_speed_mps)
 
 
 def _contents(materials: str) -> str:

@@ -444,3 +444,56 @@ def test_axes_of_poses_by_the_names_of_frames(tmp_path: Path, joined: bool) -> N
     assert first.pose is not None
     assert [first.pose.x_m, first.pose.y_m, first.pose.z_m] == pytest.approx([2.0, 1.0, -5.0])
     assert [first.pose.roll_rad, first.pose.yaw_rad] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["/tf_static", "/tf"])
+def test_the_mount_is_tfs_where_the_poses_are_a_files(tmp_path: Path, kind: str) -> None:
+    """A bag without odometry, or with two that nobody asked for."""
+    maker = BagMaker("mcap")
+    aside = Pose(0.0, 0.0, 0.0, 0.0, 0.0, math.pi / 2)
+    links = [_mounted(maker, aside, kind, 0.5 * k) for k in range(21 if kind == "/tf" else 1)]
+    (tmp_path / "p.tum").write_text("".join(f"{t} 1 0 -5 0 0 0 1\n" for t in range(11)))
+    reading = Reading(poses=tmp_path / "p.tum")
+    path = _bag(maker, tmp_path / "b", _spotted(maker) + links)
+    assert _spot_m(path, reading) == pytest.approx([1.0, 5.0, -5.0], abs=0.15)
+    assert not open_recording(path, reading).facts["doubts"]
+    others = _resting(maker, "/a", [9.0, 0.0, 0.0]) + _resting(maker, "/b", [7.0, 0.0, 0.0])
+    path = _bag(maker, tmp_path / "c", _spotted(maker) + links + others)
+    assert _spot_m(path, reading) == pytest.approx([1.0, 5.0, -5.0], abs=0.15)
+
+
+def test_each_vehicle_has_its_own_tf(tmp_path: Path) -> None:
+    """Frames of one name in the topics of two vehicles."""
+    maker = BagMaker("mcap")
+    left, right = (Pose(0.0, 0.0, 0.0, yaw_rad=side * math.pi / 2) for side in (1, -1))
+    messages = [
+        *_spotted(maker, "sonar", "/auv1/sonar"),
+        *_resting(maker, "/auv1/odom", [0.0, 0.0, -5.0]),
+        *_resting(maker, "/auv2/odom", [50.0, 0.0, -5.0]),
+        _mounted(maker, left, "/auv1/tf_static"),
+        _mounted(maker, right, "/auv2/tf_static", 0.1),
+    ]
+    path = _bag(maker, tmp_path / "b", messages)
+    assert _spot_m(path) == pytest.approx([0.0, 5.0, -5.0], abs=0.15)
+
+
+@pytest.mark.parametrize("driver", ["oculus_sonar_driver", "nps, dave"])
+def test_a_mount_that_overrules_tf_leaves_the_side_to_it(tmp_path: Path, driver: str) -> None:
+    """Told the mount that `info` prints, nothing changes; a head that turns is refused."""
+    maker = BagMaker("mcap")
+    directions, azimuths = DRIVERS[driver]
+    ahead = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    turn = ahead if driver == "oculus_sonar_driver" else np.eye(3)
+    quaternion = Rotation.from_matrix(turn).as_quat()
+    messages = _aside(maker, directions, azimuths) + _resting(maker, "/odom", [0.0, 0.0, -5.0])
+    link = maker.link(0.0, "base_link", "sonar", np.zeros(3), quaternion)
+    path = _bag(maker, tmp_path / "b", [*messages, ("/tf_static", 0.0, link)])
+    assert _spot_m(path) == pytest.approx(SIDE, abs=0.15)
+    (first, *_) = open_recording(path)
+    told = Reading(mount=first.ping.geometry.mount)
+    assert _spot_m(path, told) == pytest.approx(SIDE, abs=0.15)
+    moving = [("/tf", float(k), maker.link(float(k), "base_link", "sonar", np.zeros(3), quaternion))
+              for k in range(11)]  # fmt: skip
+    path = _bag(maker, tmp_path / "c", messages + moving)
+    with pytest.raises(RecordingError, match="by TF the sonar turns"):
+        open_recording(path, told)

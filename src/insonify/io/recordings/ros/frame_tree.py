@@ -64,20 +64,20 @@ class FrameTree:
     def carries(self, base: str, frame: str) -> bool:
         """Whether a frame hangs from another, or is fixed to it."""
         known = self._known(base)
-        return known in self._way_up(frame) or self.in_frame(frame, base) is not None
+        return known in self.way_up(frame) or self.in_frame(frame, base) is not None
 
     def joins(self, frame: str, base: str) -> bool:
         """Whether there is a way from a frame to another."""
-        return bool(set(self._way_up(frame)) & set(self._way_up(base)))
+        return bool(set(self.way_up(frame)) & set(self.way_up(base)))
 
     def root_of(self, frame: str) -> tuple[str, bool]:
         """The root that a frame hangs from, nothing if from none, and whether it moves in it."""
-        way = self._way_up(frame)
+        way = self.way_up(frame)
         return (way[-1] if len(way) > 1 else ""), any(one in self._rows for one in way)
 
     def between(self, base: str, frame: str, time_s: float) -> Float64 | None:
         """``base_from_frame`` (4, 4) at a time; None if a link on the way says nothing of it."""
-        ways = self._way_up(base), self._way_up(frame)
+        ways = self.way_up(base), self.way_up(frame)
         common = next((one for one in ways[1] if one in ways[0]), None)
         if common is None:
             return None
@@ -104,7 +104,7 @@ class FrameTree:
             transform = link @ transform
         return transform
 
-    def _way_up(self, frame: str) -> list[str]:
+    def way_up(self, frame: str) -> list[str]:
         """A frame, what it hangs from, and so on; nothing if it is not in the tree."""
         known = self._known(frame)
         way = [] if known is None else [known]
@@ -142,7 +142,7 @@ class FrameTree:
 
     def in_root(self, frame: str, time_s: float) -> Float64 | None:
         """``root_from_frame`` (4, 4) at a time; None where a link above says nothing of it."""
-        way = self._way_up(frame)
+        way = self.way_up(frame)
         return self._up(way[:-1], time_s) if 0 < len(way) < _DEEPEST else None
 
     def _track(self, child: str) -> PoseTrack:

@@ -27,7 +27,8 @@ class Index:
         tracks: Rows of time and pose of each topic of poses.
         posed: The frame that each of them poses, and ``worlds`` the one it is posed in.
         states: PingStates by stamp.
-        tree: TF.
+        links: Messages of TF with their topics.
+        tree: TF, once it is settled of which vehicle.
         frames: The frame of each topic of pings.
         undecoded: How many messages could not be decoded.
         no_poses: How many messages of a topic of poses hold none.
@@ -39,10 +40,27 @@ class Index:
     posed: dict[str, str] = field(default_factory=dict)
     worlds: dict[str, str] = field(default_factory=dict)
     states: dict[int, Any] = field(default_factory=dict)
+    links: list[tuple[str, Any]] = field(default_factory=list)
     tree: FrameTree = field(default_factory=FrameTree)
     frames: dict[str, str] = field(default_factory=dict)
     undecoded: int = 0
     no_poses: dict[str, int] = field(default_factory=dict)
+
+    def settle(self, vehicle: str) -> None:
+        """Make the tree: of plain topics, and of the vehicle's own if it has some; else of all."""
+        spaces = {namespace(topic) for topic, _ in self.links}
+        wanted = {"", vehicle} if vehicle in spaces else spaces
+        for topic, message in self.links:
+            if namespace(topic) in wanted:
+                try:
+                    self.tree.add(message, "static" in topic)
+                except DAMAGE:
+                    self.undecoded += 1
+
+
+def namespace(name: str) -> str:
+    """The first part of a topic's or frame's name, if there are several."""
+    return name.removeprefix("/").rpartition("/")[0].partition("/")[0]
 
 
 def index_of(bag: Bag, max_gap_s: float | None) -> Index:
@@ -57,7 +75,7 @@ def index_of(bag: Bag, max_gap_s: float | None) -> Index:
         name = message.kind.rsplit("/", 1)[-1]
         try:
             if name.lower() == TF:
-                index.tree.add(message.decode(), "static" in message.topic)
+                index.links.append((message.topic, message.decode()))
             elif name in KINDS:
                 _note_pose(index, message, message.decode())
             elif message.kind == STATE:

@@ -178,6 +178,8 @@ class PingDecoder:
         turned = np.eye(4) if frame_from_sonar is None else frame_from_sonar
         if self._mount is not None:
             return pose_from_transform(self._mount @ turned)
+        if self._framed and self.reading.mount is not None:
+            return self.reading.mount  # of the sonar itself: which way its beams run, TF says
         if frame_from_custom is not None:
             turned = frame_from_custom.T @ turned
         seat = self.reading.seat

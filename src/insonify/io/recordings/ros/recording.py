@@ -13,13 +13,14 @@ from insonify.io.recordings.recording import (
     Reading,
     Recording,
     RecordingWarning,
+    check_options,
     columns,
     corrected,
     scaled,
 )
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import stamp_ns
-from insonify.io.recordings.ros.index import Index, index_of
+from insonify.io.recordings.ros.index import Index, index_of, namespace
 from insonify.io.recordings.ros.messages import geometry_from_state
 from insonify.io.recordings.ros.pings import PingDecoder
 from insonify.io.recordings.ros.whereabouts import Whereabouts, whereabouts
@@ -40,11 +41,14 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
             stacklevel=2,
         )
     topic = _sonar_topic(bag, index, reading)
+    if index.sonars[topic] == "SonarEcho":
+        check_options(bag.path, reading, simulated=False, one_beam=True)
+    index.settle(namespace(topic))
     poses = whereabouts(bag, index, topic, reading)
     count = sum(n for (name, _), n in index.counts.items() if name == topic)
     reading, scale_doubts = _scaled(bag, index, topic, reading)
     decoder = PingDecoder(
-        index.sonars[topic], poses.mount, reading, framed=bool(poses.base), ours=bool(index.states)
+        index.sonars[topic], poses.mount, reading, framed=poses.framed, ours=bool(index.states)
     )
 
     def read() -> Iterator[PosedPing]:

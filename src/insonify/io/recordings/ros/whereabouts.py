@@ -21,7 +21,7 @@ from insonify.frames import (
 from insonify.io.recordings.poses import PoseTrack
 from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros.bags import Bag
-from insonify.io.recordings.ros.index import KINDS, Index
+from insonify.io.recordings.ros.index import KINDS, Index, namespace
 from insonify.types import Float64, Pose
 
 _WANTED = ("goal", "target", "setpoint", "desired", "reference", "cmd")
@@ -43,6 +43,7 @@ class Whereabouts:
         frame: The frame whose pose TF tells, if there is no track.
         base: The track's frame, in which the sonar's moves.
         exact: Whether PingState tells all of it.
+        framed: Whether TF tells how the sonar's frame sits, even if the user overrules where.
         world: Turns the poses' world into ours (4, 4), if it is another.
         turn: Turns the posed body's axes into ours (4, 4), if they are others.
         doubts: What had to be assumed.
@@ -55,6 +56,7 @@ class Whereabouts:
     frame: str = ""
     base: str = ""
     exact: bool = False
+    framed: bool = False
     world: Float64 | None = None
     turn: Float64 | None = None
     doubts: tuple[str, ...] = ()
@@ -89,12 +91,47 @@ def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereab
     if told is None and reading.clock_offset_s == 0.0 and index.states:
         source = f"{len(index.states)} states of pings, unrounded"
         return Whereabouts(source, "states of pings", exact=True)
+    if reading.poses is not None:
+        return _beside(bag, index, frame, reading)
     topic, why = _pose_topic(bag, index, sonar, reading)
     if topic is not None:
         return _tracked(bag, index, frame, topic, why, reading)
     if why:
         return _by_tf(index, frame, why, reading)
     return Whereabouts("none", _untold(reading))
+
+
+def _beside(bag: Bag, index: Index, frame: str, reading: Reading) -> Whereabouts:
+    """Poses from a file: the bag tells the mount alone, on what TF hangs the sonar from."""
+    known = Whereabouts("none", "TF")
+    way = index.tree.way_up(frame)
+    bodies = [one for one in way if not any(word in one.lower() for word in _WORLDS)]
+    base = bodies[-1] if len(bodies) > 1 else ""
+    return _seated(bag, index, frame, base, None, known, reading)
+
+
+def _seated(
+    bag: Bag, index: Index, frame: str, base: str, turn: Float64 | None, known: Whereabouts,
+    reading: Reading,
+) -> Whereabouts:  # fmt: skip
+    """Where the sonar sits on the vehicle's frame, if TF or the user says."""
+    mount = index.tree.in_frame(frame, base) if frame and base else None
+    moving = mount is None and bool(base) and index.tree.joins(frame, base)
+    if reading.mount is not None and moving:
+        raise RecordingError(
+            f"{bag.path}: by TF the sonar turns on the vehicle, which one --mount cannot tell; "
+            "leave it out"
+        )
+    if reading.mount is not None:
+        return replace(known, mount_source="--mount", framed=mount is not None)
+    if mount is not None:
+        return replace(known, mount=mount if turn is None else turn @ mount, framed=True)
+    if moving:
+        return replace(known, mount_source="TF, moving", base=base, framed=True)
+    doubts = known.doubts
+    if reading.device is None:
+        doubts += (_no_mount(index, frame, base or "base_link"),)
+    return replace(known, mount_source=_untold(reading), doubts=doubts)
 
 
 def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
@@ -107,8 +144,8 @@ def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
         mount = turn @ mount
     source = f"TF of {body}{why}{axes}"
     if reading.mount is not None:
-        return Whereabouts(source, "--mount", None, frame=body, world=world, turn=turn)
-    return Whereabouts(source, "TF", mount, frame=body, world=world, turn=turn)
+        return Whereabouts(source, "--mount", None, frame=body, world=world, turn=turn, framed=True)
+    return Whereabouts(source, "TF", mount, frame=body, world=world, turn=turn, framed=True)
 
 
 def _tracked(
@@ -129,16 +166,7 @@ def _tracked(
             "or a quaternion has no length) and are left out",
         )
     known = Whereabouts(source, "TF", None, track, world=world, turn=turn, doubts=doubts)
-    if reading.mount is not None:
-        return replace(known, mount_source="--mount")
-    mount = index.tree.in_frame(frame, base) if frame else None
-    if mount is not None:
-        return replace(known, mount=mount if turn is None else turn @ mount)
-    if index.tree.joins(frame, base):
-        return replace(known, mount_source="TF, moving", base=base)
-    if reading.device is None:
-        doubts += (_no_mount(index, frame, base),)
-    return replace(known, mount_source=_untold(reading), doubts=doubts)
+    return _seated(bag, index, frame, base, turn, known, reading)
 
 
 def _axes(world: str, body: str, reading: Reading) -> tuple[Float64 | None, Float64 | None]:
@@ -213,7 +241,7 @@ def _only(bag: Bag, topics: list[str], sonar: str) -> str:
     """The one of some topics that is left when what is likelier is preferred."""
     for word in _SECOND_CHOICE:
         topics = [topic for topic in topics if word not in topic] or topics
-    topics = [topic for topic in topics if _namespace(topic) == _namespace(sonar)] or topics
+    topics = [topic for topic in topics if namespace(topic) == namespace(sonar)] or topics
     if len(topics) > 1:
         raise RecordingError(
             f"{bag.path}: several topics tell poses; say which are the vehicle's (--pose-topic): "
@@ -224,9 +252,5 @@ def _only(bag: Bag, topics: list[str], sonar: str) -> str:
 
 def _of_another(base: str, frame: str) -> bool:
     """Whether a frame is plainly that of another vehicle than a sonar's."""
-    one, other = _namespace(base), _namespace(frame)
+    one, other = namespace(base), namespace(frame)
     return bool(one and other) and one != other
-
-
-def _namespace(name: str) -> str:
-    return name.removeprefix("/").rpartition("/")[0].partition("/")[0]
