@@ -86,10 +86,15 @@ def make_dataset(
         if result is None:
             _keep(place.scratch, config.count)
         else:
-            if mcap:
-                _write_replay(config, place.scratch)
-            (place.scratch / OWNER).unlink()
+            _finish(config, place.scratch, mcap)
     return result, place.target
+
+
+def _finish(config: Dataset, folder: Path, mcap: bool) -> None:
+    """A whole dataset's folder belongs to nobody; before that its views may be recorded too."""
+    if mcap:
+        _write_replay(config, folder)
+    (folder / OWNER).unlink()
 
 
 def _write_replay(config: Dataset, folder: Path) -> None:
