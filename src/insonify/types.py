@@ -6,7 +6,7 @@ Units are in the names.  World frame: ENU; body and sonar frames: forward, left,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -51,10 +51,14 @@ class Pose:
         """The position alone."""
         return (self.x_m, self.y_m, self.z_m)
 
-    def moved(self, by_m: tuple[float, float, float], sign: float = 1.0) -> Pose:
-        """The pose moved by a vector of the world, or by its opposite."""
-        x, y, z = (c + sign * shift for c, shift in zip(self.position_m, by_m, strict=True))
+    def moved(self, by_m: Sequence[float]) -> Pose:
+        """The pose moved by a vector of the world."""
+        x, y, z = (c + shift for c, shift in zip(self.position_m, by_m, strict=True))
         return replace(self, x_m=x, y_m=y, z_m=z)
+
+    def relative_to(self, origin_m: Sequence[float]) -> Pose:
+        """The pose as it is told from an origin."""
+        return self.moved([-c for c in origin_m])
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,14 +150,17 @@ class Box:
         (x0, y0, z0), (x1, y1, z1) = map(float, low_m), map(float, high_m)
         return cls((x0, y0, z0), (x1, y1, z1))
 
-    def moved(self, by_m: tuple[float, float, float], sign: float = 1.0) -> Box:
-        """The box moved by a vector, or by its opposite."""
-        shifts = [sign * c for c in by_m]
+    def moved(self, by_m: Sequence[float]) -> Box:
+        """The box moved by a vector."""
         low, high = (
-            [c + shift for c, shift in zip(corner, shifts, strict=True)]
+            [c + shift for c, shift in zip(corner, by_m, strict=True)]
             for corner in (self.low_m, self.high_m)
         )
         return Box.of(low, high)
+
+    def relative_to(self, origin_m: Sequence[float]) -> Box:
+        """The box as it is told from an origin."""
+        return self.moved([-c for c in origin_m])
 
     def grown(self, margin_m: float) -> Box:
         """The box with ``margin_m`` added on every side."""

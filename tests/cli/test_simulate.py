@@ -158,7 +158,11 @@ def test_turns_of_a_scanning_sonar_are_a_recording(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.concatenate([ping.image for ping in turns], 1), whole)
     replayed = [one.ping for one in open_recording(tmp_path / "s/pings.mcap")]
     assert [one.geometry for one in replayed] == [one.geometry for one in turns]
-    # by the standard messages alone: the beam's width is not in them
+    for topic in (None, "/odometry"):
+        with pytest.raises(RecordingError, match="--beams"):
+            reading = Reading(beams="starboard-to-port", pose_topic=topic)
+            open_recording(tmp_path / "s/pings.mcap", reading)
+    # by the standard messages alone
     told = list(open_recording(tmp_path / "s/pings.mcap", Reading(pose_topic="/odometry")))
     assert [one.ping.geometry.mount.yaw_rad for one in told] == pytest.approx(yaws, abs=1e-9)
 

@@ -80,10 +80,10 @@ def plan(
     mapper = load_mapper(map_)
     device = _device(file, sonar)
     origin_m = mapper.voxels.origin_m
-    pose = told.moved(origin_m, -1.0)
+    pose = told.relative_to(origin_m)
     box = _region(file, mapper.voxels)
     if region is not None:
-        box = box_from_text(region).moved(origin_m, -1.0)
+        box = box_from_text(region).relative_to(origin_m)
     decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
     _write(mapper.voxels, decision, pose, box, place, out, force=force, as_json=as_json)
 
@@ -179,7 +179,7 @@ def _region(file: Path, voxels: VoxelMap) -> Box:
     except ResultError:
         return voxels.around_occupied()
     if isinstance(result, MapResult | ScanResult) and result.region_m is not None:
-        return Box.of(*result.region_m).moved(voxels.origin_m, -1.0)
+        return Box.of(*result.region_m).relative_to(voxels.origin_m)
     return voxels.around_occupied()
 
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from insonify.errors import ConfigError, GeometryError
+from insonify.cli.root import numbers_of
+from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
     from insonify.io.recordings.recording import Reading
@@ -136,7 +137,7 @@ def _reading(
     convention: str | None,
 ) -> Reading:
     """What the options say of a recording."""
-    from insonify.io.recordings.recording import BEAMS, CONVENTIONS, Reading
+    from insonify.io.recordings.recording import Reading
     from insonify.sonar.devices import named_device
 
     device = named_device(sonar) if sonar is not None else None
@@ -146,10 +147,6 @@ def _reading(
         raise ConfigError(f"--max-gap takes seconds above 0, not {max_gap_s:g}")
     if full_scale is not None and not 0.0 < full_scale < math.inf:
         raise ConfigError(f"--scale takes the value of the loudest echo, not {full_scale:g}")
-    if beams is not None and beams not in (*BEAMS, "auto"):
-        raise ConfigError(f"--beams takes {', '.join(BEAMS)} or auto, not {beams!r}")
-    if convention is not None and convention not in CONVENTIONS:
-        raise ConfigError(f"--convention takes {' or '.join(CONVENTIONS)}, not {convention!r}")
     return Reading(
         device=device,
         poses=poses,
@@ -167,14 +164,10 @@ def _reading(
 def _mount(text: str) -> Pose:
     from insonify.types import Pose
 
-    try:
-        x, y, z, *degrees = [float(word) for word in text.replace(",", " ").split()]
-        roll, pitch, yaw = map(math.radians, degrees)
-        if max(map(abs, degrees)) > 360.0 or max(abs(x), abs(y), abs(z)) > 1000.0:
-            raise ValueError
-        return Pose(x, y, z, roll, pitch, yaw)
-    except (ValueError, GeometryError) as err:
+    x, y, z, *degrees = numbers_of("--mount", text, 6)
+    if max(map(abs, degrees)) > 360.0 or max(abs(x), abs(y), abs(z)) > 1000.0:
         raise ConfigError(
-            "--mount takes six numbers, metres forward, to port and up, then degrees of roll, "
-            f"pitch and yaw, as in '0.3 0 -0.1 0 20 0', not {text!r}"
-        ) from err
+            "--mount takes metres forward, to port and up, then degrees of roll, pitch and yaw, as "
+            f"in '0.3 0 -0.1 0 20 0', not {text!r}"
+        )
+    return Pose(x, y, z, *map(math.radians, degrees))

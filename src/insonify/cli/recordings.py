@@ -73,10 +73,10 @@ def info(
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
     from insonify.io.recordings import open_recording
-    from insonify.io.recordings.poses import read_poses
+    from insonify.io.recordings.poses import is_telemetry, read_poses
     from insonify.io.recordings.summary import summarise, summarise_poses
 
-    if file.suffix.lower() == ".tlog":
+    if is_telemetry(file):
         told = summarise_poses(file, read_poses(file))
         if as_json:
             print(json.dumps(told, indent=2))

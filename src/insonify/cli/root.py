@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -196,3 +197,18 @@ def print_listing(head: list[str], rows: list[list[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     Console().print(table)
+
+
+def numbers_of(option: str, text: str, count: int) -> list[float]:
+    """The numbers of an option's text.
+
+    Raises:
+        ConfigError: They are more or fewer, or not finite.
+    """
+    try:
+        values = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError as err:
+        raise ConfigError(f"{option} takes {count} numbers, not {text!r}") from err
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise ConfigError(f"{option} takes {count} finite numbers, not {text!r}")
+    return values

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -28,6 +27,7 @@ from insonify.cli.root import (
     app,
     choices,
     interruptible,
+    numbers_of,
     world_and_layers,
     world_table,
 )
@@ -157,7 +157,7 @@ def _route(pose: str | None, path: Path | None, orbit: str | None) -> Table:
     if sum(way is not None for way in (pose, path, orbit)) > 1:
         raise ConfigError("give one of --pose, --path and --orbit, not several")
     if pose is not None:
-        return {"route": [[0.0, *_numbers("--pose", pose, 6)]], "timed": True}
+        return {"route": [[0.0, *numbers_of("--pose", pose, 6)]], "timed": True}
     if path is not None:
         from insonify.io.routes import read_route
 
@@ -166,22 +166,12 @@ def _route(pose: str | None, path: Path | None, orbit: str | None) -> Table:
     if orbit is not None:
         from insonify.imaging.route import orbit as rows_around
 
-        x, y, z, radius, count, pitch = _numbers("--orbit", orbit, 6)
+        x, y, z, radius, count, pitch = numbers_of("--orbit", orbit, 6)
         if count < 1 or count != int(count) or radius <= 0:
             raise ConfigError(f"--orbit needs a whole COUNT and a positive RADIUS, not {orbit!r}")
         rows = rows_around((x, y), z, radius, int(count), pitch)
         return {"route": [list(row) for row in rows], "timed": False}
     return {}
-
-
-def _numbers(option: str, text: str, count: int) -> list[float]:
-    try:
-        values = [float(word) for word in text.replace(",", " ").split()]
-    except ValueError as err:
-        raise ConfigError(f"{option} takes {count} numbers, not {text!r}") from err
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise ConfigError(f"{option} takes {count} finite numbers, not {text!r}")
-    return values
 
 
 @contextmanager

@@ -132,10 +132,11 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
         yield scratch / target.name
         if target.is_dir() and not target.is_symlink():
             target.rename(scratch / f"{target.name}.replaced")
-        (scratch / target.name).replace(target)
-        if (scratch / beside).is_file():
+        told = (scratch / beside).is_file()
+        if told:  # first, so that a file never lies there without it
             (scratch / beside).replace(target.parent / beside)
-        else:
+        (scratch / target.name).replace(target)
+        if not told:
             (target.parent / beside).unlink(missing_ok=True)
     except OSError as err:
         if not _is_about(err, scratch, target):

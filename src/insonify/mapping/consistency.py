@@ -35,7 +35,7 @@ _AROUND = 2
 """Bins on each side of where a ray reaches the floor; all but one of them must be lit."""
 _LEAST_SHARED = 30
 """Pixels that others must see for a likeness to be told."""
-_LEAST_PINGS = 5
+_LEAST_PINGS = _LEAST_ECHOES = 5
 _MIRROR = np.array([1.0, -1.0, 1.0])
 
 
@@ -92,6 +92,7 @@ class PingStack:
             ],
             axis=-1,
         )
+        self._chosen = [self._choose(number) for number in range(len(images))]
 
     def contest(self, one: View, other: View) -> Verdict:
         """How much better ``one`` agrees with itself than ``other``."""
@@ -116,7 +117,7 @@ class PingStack:
         judge = _Judge(self, view, numbers)
         shares = np.full(len(view.world_from_sonar), np.nan)
         for number in map(int, numbers):
-            shares[number] = -judge.score(number, numbers[numbers != number])[0]
+            shares[number] = judge.contradiction(number, numbers[numbers != number])
         return shares
 
     def floor(self, view: View) -> tuple[float, float, bool]:
@@ -142,6 +143,9 @@ class PingStack:
 
         The same for every view, so that views are compared on the same pixels.
         """
+        return self._chosen[number]
+
+    def _choose(self, number: int) -> tuple[Int64, Int64]:
         rng = np.random.default_rng(number)
         echoes = np.argwhere(self._lit[number])
         echoes = echoes[rng.permutation(len(echoes))[: 4 * _PIXELS]]
@@ -269,29 +273,30 @@ class _Judge:
 
     def score(self, number: int, others: Int64) -> Float64:
         """Contradiction, negative, and likeness of a ping with others; NaN where nothing tells."""
-        echoes, places = self._stack.chosen(number)
-        echoes = self._above_floor(number, echoes)[:_PIXELS]
-        arcs = self._arcs(number, np.concatenate([echoes, places]))
-        alone = len(echoes)
-        free = np.zeros((_ELEVATIONS, alone), np.bool_)
-        total = np.zeros((_ELEVATIONS, len(places)))
-        looks = np.zeros((_ELEVATIONS, len(places)), np.int64)
-        for other in others:
-            place = self._view.world_from_sonar[other]
-            local = (arcs - place[:3, 3]) @ place[:3, :3]
-            ranges, bins, beams, inside = self._stack.pixel(local, self._view.mirrored)
-            if inside[:, :alone].any():
-                free |= inside[:, :alone] & self._free(
-                    other, arcs[:, :alone], ranges[:, :alone], beams[:, :alone]
-                )
-            seen = inside[:, alone:]
-            shown = self._stack.at(other, bins[:, alone:], beams[:, alone:])
-            total += np.where(seen, shown, 0.0)
-            looks += seen
-        contradiction = float(free.all(axis=0).mean()) if alone >= 5 else math.nan
-        return np.array([-contradiction, self._likeness(number, places, total, looks)])
+        return np.array([-self.contradiction(number, others), self._likeness(number, others)])
 
-    def _likeness(self, number: int, places: Int64, total: Float64, looks: Int64) -> float:
+    def contradiction(self, number: int, others: Int64) -> float:
+        """The share of a ping's echoes off the floor that others contradict; NaN if too few are."""
+        echoes = self._above_floor(number, self._stack.chosen(number)[0])[:_PIXELS]
+        if len(echoes) < _LEAST_ECHOES:
+            return math.nan
+        arcs = self._arcs(number, echoes)
+        free = np.zeros(arcs.shape[:2], np.bool_)
+        for other in others:
+            ranges, _, beams, inside = self._seen(other, arcs)
+            if inside.any():
+                free |= inside & self._free(other, arcs, ranges, beams)
+        return float(free.all(axis=0).mean())
+
+    def _likeness(self, number: int, others: Int64) -> float:
+        places = self._stack.chosen(number)[1]
+        arcs = self._arcs(number, places)
+        total = np.zeros(arcs.shape[:2])
+        looks = np.zeros(arcs.shape[:2], np.int64)
+        for other in others:
+            _, bins, beams, inside = self._seen(other, arcs)
+            total += np.where(inside, self._stack.at(other, bins, beams), 0.0)
+            looks += inside
         shared = (looks > 0).any(axis=0)
         if shared.sum() < _LEAST_SHARED:
             return math.nan
@@ -300,6 +305,11 @@ class _Judge:
         if own.std() == 0.0 or best.std() == 0.0:
             return math.nan
         return float(np.corrcoef(own, best)[0, 1])
+
+    def _seen(self, other: int, arcs: Float64) -> tuple[Float64, Int64, Int64, Bool]:
+        """Where points of arcs lie in a ping, as `PingStack.pixel` tells."""
+        place = self._view.world_from_sonar[other]
+        return self._stack.pixel((arcs - place[:3, 3]) @ place[:3, :3], self._view.mirrored)
 
     def _arcs(self, number: int, pixels: Int64) -> Float64:
         """The arcs of pixels (n, 2) in the world, (elevations, n, 3)."""

@@ -121,10 +121,6 @@ def map_recordings(
         mapper = make_mapper("bayes", settings)
     check_voxels(mapper, settings)
     remap = Remap(settings, mapper)
-    origin_m = _origin(recordings, mapper.voxels.block_m)
-    mapper.voxels.origin_m = origin_m
-    if region is not None:
-        region = region.moved(origin_m, -1.0)
     for recording in recordings:
         _map_one(remap, recording, watch, should_stop)
         remap.mapper.finish_scan()
@@ -132,12 +128,15 @@ def map_recordings(
             break
     if not (remap.mapper.voxels.log_odds > 0.0).any():
         _warn_of_nothing(remap)
-    remap.region = region or remap.mapper.voxels.around_occupied()
-    voxels = math.prod(size / settings.voxel_m for size in remap.region.size_m)
-    if voxels > MOST_REGION_VOXELS:
+    voxels = mapper.voxels
+    remap.region = (
+        voxels.around_occupied() if region is None else region.relative_to(voxels.origin_m)
+    )
+    count = math.prod(size / settings.voxel_m for size in remap.region.size_m)
+    if count > MOST_REGION_VOXELS:
         size = " x ".join(f"{edge:.3g}" for edge in remap.region.size_m)
         raise GeometryError(
-            f"the region of {size} m has {voxels:.3g} voxels of {settings.voxel_m:g} m, too many "
+            f"the region of {size} m has {count:.3g} voxels of {settings.voxel_m:g} m, too many "
             "to count its entropy; give a smaller one (--region) or larger voxels (--voxel)"
         )
     return remap
@@ -170,22 +169,14 @@ def brightest(ping: Ping) -> float:
     return float(np.fmax.reduce(ping.image, axis=None, initial=0.0))
 
 
-def _origin(recordings: Sequence[Recording], block_m: float) -> tuple[float, float, float]:
-    """Where the map's frame lies: 0, or near the first pose if that is far away.
+def _origin(first: Pose, block_m: float) -> tuple[float, float, float]:
+    """Where a map's frame lies: 0, or near its first pose where that is far away.
 
     A whole number of blocks from 0, so that voxels lie as they would without it.
     """
-    for recording in recordings:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RecordingWarning)
-            first = next((one.pose for one in recording if one.pose is not None), None)
-        if first is not None:
-            step_m = block_m * math.ceil(_ORIGIN_STEP_M / block_m)
-            x, y, z = (
-                step_m * round(c / step_m) if abs(c) > _FAR_M else 0.0 for c in first.position_m
-            )
-            return x, y, z
-    return 0.0, 0.0, 0.0
+    step_m = block_m * math.ceil(_ORIGIN_STEP_M / block_m)
+    x, y, z = (step_m * round(c / step_m) if abs(c) > _FAR_M else 0.0 for c in first.position_m)
+    return x, y, z
 
 
 def _map_one(
@@ -194,8 +185,11 @@ def _map_one(
     kept = {(2 * k + 1) * recording.count // (2 * KEPT_PINGS) for k in range(KEPT_PINGS)}
     pings = mapped = 0
     for told in _timed(remap, recording):
-        posed = _moved(told, remap.mapper.voxels.origin_m)
         since = time.perf_counter()
+        voxels = remap.mapper.voxels
+        if told.pose is not None and not voxels.block_count:
+            voxels.origin_m = _origin(told.pose, voxels.block_m)
+        posed = _moved(told, voxels.origin_m)
         pings += 1
         if posed.pose is not None:
             _check_reach(remap, recording, posed.pose)
@@ -243,8 +237,8 @@ def _moved(posed: PosedPing, origin_m: tuple[float, float, float]) -> PosedPing:
     true = posed.true_pose
     return replace(
         posed,
-        pose=posed.pose.moved(origin_m, -1.0),
-        true_pose=None if true is None else true.moved(origin_m, -1.0),
+        pose=posed.pose.relative_to(origin_m),
+        true_pose=None if true is None else true.relative_to(origin_m),
     )
 
 

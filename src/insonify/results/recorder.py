@@ -20,10 +20,11 @@ from insonify.mapping.voxels import probability_from_log_odds
 from insonify.mission.loop import Decided, Pinged, Scanned, Step
 from insonify.mission.run import Flight, Run
 from insonify.results.files import RECORDING
+from insonify.results.replay import ping_messages
 from insonify.types import Pose, PosedPing
 from insonify.vehicle.craft import Craft, ImuReading
 
-IMAGES, STATES, PICTURES = "/sonar/image", "/sonar/state", "/sonar/polar"
+SONAR, STATES = "sonar", "/sonar/state"
 ESTIMATE, TRUTH = "/odometry", "/ground_truth/odometry"
 PLANS, OCCUPIED = "/plan", "/map/occupied"
 IMU, DVL = "/imu", "/dvl"
@@ -90,11 +91,10 @@ class ScanRecorder:
             moving = craft.true_state[7:13]
             self._write(TRUTH, messages.odometry(truth, now, "map", moving))
         frequency_hz = 1e3 * run.config.sonar.frequency_khz
-        image = messages.sonar_image(ping, now, "sonar", frequency_hz, SOUND_SPEED_MPS)
         words = messages.words_from_generator(run.noise)
-        self._write(STATES, messages.ping_state(ping, pose, truth, words, now, "sonar"))
-        self._write(IMAGES, image)
-        self._write(PICTURES, messages.polar_picture(ping, now, "sonar"))
+        told = ping_messages(SONAR, posed, words, now, frequency_hz, SOUND_SPEED_MPS)
+        for topic, message in told.items():
+            self._write(topic, message)
 
     def _record_readings(self, flight: Flight) -> None:
         """Record what the sensors have measured since the last step, at its own times."""

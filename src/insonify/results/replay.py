@@ -12,7 +12,7 @@ from insonify.frames import transform_from_pose
 from insonify.io.recordings.recording import Recording
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.mcap_writing import McapWriter
-from insonify.types import PosedPing
+from insonify.types import Array, PosedPing
 
 PINGS = "pings.mcap"
 _STEP_NS = 100_000_000
@@ -45,6 +45,29 @@ def save_replay(
             _write(writer, name, posed, now, frequency_hz[name], sound_speed_mps)
 
 
+def ping_messages(
+    name: str, posed: PosedPing, words: Array, now: int, frequency_hz: float, speed_mps: float
+) -> dict[str, object]:
+    """A ping's own messages by topic: state, image and picture of the sonar of a name.
+
+    Args:
+        name: Of the sonar, its topics and its frame.
+        posed: The ping, with its pose.
+        words: Of the noise's generator, see `messages.ping_state`.
+        now: Its stamp, ns.
+        frequency_hz: Told in it.
+        speed_mps: Of sound, told in it.
+    """
+    ping, pose = posed.ping, posed.pose
+    assert pose is not None
+    truth = posed.true_pose or pose
+    return {
+        f"/{name}/state": messages.ping_state(ping, pose, truth, words, now, name),
+        f"/{name}/image": messages.sonar_image(ping, now, name, frequency_hz, speed_mps),
+        f"/{name}/polar": messages.polar_picture(ping, now, name),
+    }
+
+
 def _when(one: tuple[int, str, PosedPing]) -> tuple[int, str]:
     return one[0], one[1]
 
@@ -64,7 +87,6 @@ def _write(
 ) -> None:
     ping, pose = posed.ping, posed.pose
     assert pose is not None
-    truth = posed.true_pose or pose
     sonar = transform_from_pose(ping.geometry.mount) @ messages.IMAGE_FROM_SONAR
     links = [
         ("map", "odom", np.eye(4)),
@@ -74,10 +96,8 @@ def _write(
     told = {
         "/tf": messages.transforms(links, now),
         "/odometry": messages.odometry(pose, now, "odom"),
-        "/ground_truth/odometry": messages.odometry(truth, now, "map"),
-        f"/{name}/state": messages.ping_state(ping, pose, truth, _NO_GENERATOR, now, name),
-        f"/{name}/image": messages.sonar_image(ping, now, name, frequency_hz, speed_mps),
-        f"/{name}/polar": messages.polar_picture(ping, now, name),
+        "/ground_truth/odometry": messages.odometry(posed.true_pose or pose, now, "map"),
+        **ping_messages(name, posed, _NO_GENERATOR, now, frequency_hz, speed_mps),
     }
     for topic, message in told.items():
         writer.write(topic, message, now)

@@ -85,7 +85,7 @@ def map_story(path: Path, region: Box | None = None) -> Story:
     voxels = load_map(path)
     story = Story(path.resolve().name)
     if region is not None:
-        region = region.moved(voxels.origin_m, -1.0)
+        region = region.relative_to(voxels.origin_m)
     story.add_map(voxels, region or voxels.around_occupied())
     return story
 
@@ -206,7 +206,7 @@ def _tell_recording(
         story.add_ping(posed)
         voxels = remap.mapper.voxels
         if voxels.block_count and story.maps.wants(number):
-            shown = None if region is None else region.moved(voxels.origin_m, -1.0)
+            shown = None if region is None else region.relative_to(voxels.origin_m)
             story.add_map(voxels, shown or voxels.around_occupied())
         story.changed()
         watch(number, recording.count)

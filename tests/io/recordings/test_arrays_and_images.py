@@ -342,3 +342,7 @@ def test_what_an_archive_says_is_taken_or_refused(tmp_path: Path) -> None:
     assert [one.pose and one.pose.x_m for one in late] == [0.5, 1.5, 2.5, 3.5, None]
     with pytest.raises(RecordingError, match="no clock"):
         open_recording(archive(), Reading(clock_offset_s=0.5))
+    poses = "".join(f"0 {x} 0 -5 0 0 0 1\n" for x in range(5))
+    (tmp_path / "p.tum").write_text(poses)
+    with pytest.raises(RecordingError, match="no clock"):  # also beside a file of poses
+        open_recording(archive(), Reading(poses=tmp_path / "p.tum", clock_offset_s=0.5))

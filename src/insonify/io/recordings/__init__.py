@@ -16,6 +16,7 @@ from insonify.io.recordings.oculus_log import START as LOG_START
 from insonify.io.recordings.ping360 import PLAIN_START as PING_VIEWER_PLAIN
 from insonify.io.recordings.ping360 import START as PING_VIEWER
 from insonify.io.recordings.ping360 import read_ping360
+from insonify.io.recordings.poses import is_telemetry
 from insonify.io.recordings.range_images import STARTS as RANGE_IMAGES
 from insonify.io.recordings.range_images import read_range_images
 from insonify.io.recordings.recording import (
@@ -34,7 +35,7 @@ def _bag(path: Path, head: bytes, reading: Reading) -> Recording:
     from insonify.io.recordings.ros.bags import open_bag
     from insonify.io.recordings.ros.recording import read_bag
 
-    return with_poses(read_bag(open_bag(path, head), reading), reading)
+    return read_bag(open_bag(path, head), reading)
 
 
 def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
@@ -48,11 +49,13 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
     if (head is None and (path / "metadata.yaml").is_file()) or (
         head is not None and head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))
     ):
-        return _bag(path, head or b"", reading)
-    if head is not None:
+        recording = _bag(path, head or b"", reading)
+    elif head is not None:
         recording = at_other_times(in_our_axes(_file(path, head, reading), reading), reading)
     else:
         recording = _folder(path, reading)
+    if reading.clock_offset_s != 0.0 and not recording.timed:
+        raise RecordingError(f"{path}: it has no clock, so --clock-offset says nothing")
     return with_poses(recording, reading)
 
 
@@ -92,7 +95,7 @@ def _file(path: Path, head: bytes, reading: Reading) -> Recording:
         return read_range_images(path, reading)
     if head[:2] == b"PK":
         return read_arrays(path, reading)
-    if path.suffix.lower() == ".tlog":
+    if is_telemetry(path):
         raise RecordingError(
             f"{path}: telemetry, which holds poses and no pings; give it to one with --poses"
         )

@@ -21,13 +21,11 @@ import numpy as np
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
 from insonify.io.recordings.recording import (
-    BEAMS,
     HEIGHT_UNKNOWN,
     SEAT_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
-    columns,
 )
 from insonify.types import Float64, Ping, PosedPing
 
@@ -231,7 +229,7 @@ def _facts(frame: dict[str, Any], beams: int, fan: EvenFan, reading: Reading) ->
         "bearing_first_deg": round(float(-azimuths[-1]), 3),
         "bearing_last_deg": round(float(-azimuths[0]), 3),
         "beams_evened": fan.beams is not None,
-        "columns": columns(reading.beams == BEAMS[0]),
+        "columns": reading.columns(port_first=False),
         "doubts": [
             *([] if reading.device else [HEIGHT_UNKNOWN.format(ELEVATION_DEG)]),
             *([SEAT_UNKNOWN] if reading.unseated else []),

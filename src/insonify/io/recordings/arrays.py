@@ -24,7 +24,6 @@ from insonify.io.recordings.recording import (
     SIDE_UNKNOWN,
     Reading,
     Recording,
-    columns,
     scaled,
 )
 from insonify.io.recordings.simulated import TOUR, read_tour
@@ -59,8 +58,8 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     geometry = _geometry(path, arrays, images, reading, seat)
     times = _times(path, arrays, len(images))
     poses = _poses(path, arrays, len(images), mount)
-    starboard_first = _starboard_first(path, arrays)
-    starboard_first ^= reading.mirrors(port_first=not starboard_first)
+    port_first = not _starboard_first(path, arrays)
+    starboard_first = port_first == reading.mirrors(port_first)
     reading, doubts = scaled(reading, images.dtype, lambda: int(images.max()))
     if "columns" not in arrays and reading.beams is None:
         doubts.append(SIDE_UNKNOWN.format("starboard"))
@@ -81,7 +80,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
 
     facts = {
         "pixels": str(images.dtype),
-        "columns": columns(not starboard_first),
+        "columns": reading.columns(port_first),
         "poses": "none" if poses is None else f"{len(poses)} in the file",
         "doubts": doubts,
     }

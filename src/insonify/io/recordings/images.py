@@ -24,7 +24,6 @@ from insonify.io.recordings.recording import (
     Reading,
     Recording,
     RecordingWarning,
-    columns,
     scaled,
     with_poses,
 )
@@ -73,7 +72,7 @@ def read_images(path: Path, reading: Reading) -> Recording:
     facts = {
         "device": device.name,
         "pixels": str(first.dtype),
-        "columns": columns(not mirrored),
+        "columns": reading.columns(port_first=True),
         "poses": "none",
         "doubts": doubts,
     }

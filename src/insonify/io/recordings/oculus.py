@@ -21,15 +21,13 @@ import numpy as np
 from insonify.errors import RecordingError
 from insonify.io.recordings.beams import EvenFan, even_fan
 from insonify.io.recordings.oculus_log import START as LOG_START
-from insonify.io.recordings.oculus_log import Item, sonar_items
+from insonify.io.recordings.oculus_log import Item, next_start, sonar_items
 from insonify.io.recordings.recording import (
-    BEAMS,
     HEIGHT_UNKNOWN,
     SEAT_UNKNOWN,
     Reading,
     Recording,
     RecordingWarning,
-    columns,
     scaled,
     span,
 )
@@ -118,7 +116,7 @@ def read_oculus(path: Path, reading: Reading) -> Recording:
     if reading.unseated:
         doubts.append(SEAT_UNKNOWN)
     facts = _facts(messages, fan) | {
-        "columns": columns(reading.beams != BEAMS[1]),
+        "columns": reading.columns(port_first=True),
         "doubts": doubts,
     }
     name = "Oculus log" if logged else "Oculus simple ping results"
@@ -161,7 +159,7 @@ def _scan(path: Path) -> Iterator[_Message]:
             length = _HEADER.size + payload
             if oculus_id != 0x4F53 or length > _LARGEST_MESSAGE:
                 lost += 1
-                at = _next_start(file, at + 1, size)
+                at = next_start(file, at + 1, size, START)
                 continue
             if at + length > size:
                 skipped += 1
@@ -184,19 +182,6 @@ def _warn_of_damage(path: Path, skipped: int, lost: int) -> None:
             RecordingWarning,
             stacklevel=3,
         )
-
-
-def _next_start(file: BinaryIO, at: int, size: int) -> int:
-    """Where the next message seems to begin, from ``at`` on; the file's size if none does."""
-    file.seek(at)
-    while at < size:
-        raw = file.read(1 << 20)
-        found = raw.find(START)
-        if found >= 0:
-            return at + found
-        at += max(1, len(raw) - 1)
-        file.seek(at)
-    return size
 
 
 def _message(raw: bytes, at: int, length: int, version: int) -> _Message | None:

@@ -73,20 +73,21 @@ def sonar_items(path: Path, lost: list[int]) -> Iterator[Item]:
             sane = start == 0xAABBCCDD and _ITEM.size <= header <= 4096 and length <= MOST_BYTES
             if not sane or at + header + length > size:
                 lost.append(at)
-                at = _next_item(file, at + 1, size)
+                at = next_start(file, at + 1, size, _ITEM_START)
                 continue
             if kind == _SONAR and packing in (0, _PACKED):
                 yield Item(at + header, length, time_s, packing == _PACKED)
             at += header + length
 
 
-def _next_item(file: BinaryIO, at: int, size: int) -> int:
+def next_start(file: BinaryIO, at: int, size: int, start: bytes) -> int:
+    """Where bytes next stand in a file, from ``at`` on; the file's size if they do not."""
     file.seek(at)
     while at < size:
         raw = file.read(1 << 20)
-        found = raw.find(_ITEM_START)
+        found = raw.find(start)
         if found >= 0:
             return at + found
-        at += max(1, len(raw) - 3)
+        at += max(1, len(raw) - len(start) + 1)
         file.seek(at)
     return size

@@ -29,7 +29,7 @@ from insonify.io.recordings.recording import (
     Reading,
     Recording,
     RecordingWarning,
-    check_options,
+    refuse_beams,
 )
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
@@ -67,7 +67,7 @@ def read_ping360(path: Path, reading: Reading) -> Recording:
     """
     if path.stat().st_size > MOST_BYTES:
         raise RecordingError(f"{path}: larger than 1 GiB; split it")
-    check_options(path, reading, simulated=False, one_beam=True)
+    refuse_beams(path, reading)
     profiles = list(_profiles(path, path.read_bytes()))
     if not profiles:
         raise RecordingError(f"{path}: no pings of a Ping360 in it")

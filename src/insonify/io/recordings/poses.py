@@ -11,6 +11,7 @@ import numpy as np
 
 from insonify.errors import RecordingError, reason
 from insonify.frames import (
+    enu_from_ned,
     pose_from_quaternion,
     quaternion_from_rotation,
     slerp,
@@ -119,20 +120,43 @@ def is_pose(row: Sequence[float]) -> bool:
     return bool(np.isfinite(row).all() and abs(np.linalg.norm(row[4:]) - 1.0) <= 0.1)
 
 
-def read_poses(path: Path, max_gap_s: float | None = None) -> PoseTrack:
-    """A telemetry log (``.tlog``), or a pose file in TUM format.
+def is_telemetry(path: Path) -> bool:
+    """Whether a file is a telemetry log, by its name: nothing in it says so."""
+    return path.suffix.lower() == ".tlog"
+
+
+def read_poses(path: Path, max_gap_s: float | None = None, *, ned: bool = False) -> PoseTrack:
+    """A telemetry log (``.tlog``), which tells its axes, or a pose file in TUM format.
 
     That is ``time x y z qx qy qz qw`` a line, spaces or commas between.
 
     Lines that begin with ``#`` are left out, and so is a first line of names.
 
+    Args:
+        path: The file.
+        max_gap_s: As in `PoseTrack`.
+        ned: A TUM file's poses are north, east, down of a body forward, starboard, down.
+
     Raises:
         RecordingError: The file is missing, or a line is not eight numbers that make a pose.
     """
-    if path.suffix.lower() == ".tlog":
+    if is_telemetry(path):
         from insonify.io.recordings.telemetry import read_telemetry
 
         return PoseTrack(read_telemetry(path), max_gap_s)
+    rows = _tum_rows(path)
+    try:
+        track = PoseTrack(np.array(rows), max_gap_s)
+        if ned:
+            poses = (enu_from_ned(track.sample(number)) for number in range(len(track)))
+            track = PoseTrack.of(zip(track.times_s, poses, strict=True), max_gap_s)
+        return track
+    except ValueError as err:
+        raise RecordingError(f"{path}: {err}; each line is: time x y z qx qy qz qw") from err
+
+
+def _tum_rows(path: Path) -> list[list[float]]:
+    """The lines of a TUM file as rows of eight numbers, one at least."""
     try:
         if path.stat().st_size > MOST_POSE_FILE_BYTES:
             raise RecordingError(f"{path}: larger than 1 GiB, so not a pose file")
@@ -160,10 +184,7 @@ def read_poses(path: Path, max_gap_s: float | None = None) -> PoseTrack:
         rows.append(row)
     if not rows:
         raise RecordingError(f"{path}: no poses in it; a line is: time x y z qx qy qz qw")
-    try:
-        return PoseTrack(np.array(rows), max_gap_s)
-    except ValueError as err:
-        raise RecordingError(f"{path}: {err}; each line is: time x y z qx qy qz qw") from err
+    return rows
 
 
 def path_length_m(poses: Iterable[Pose]) -> float:

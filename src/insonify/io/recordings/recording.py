@@ -22,6 +22,17 @@ BEAMS = ("port-to-starboard", "starboard-to-port")
 CONVENTIONS = ("enu", "ned")
 """Axes of poses: east, north, up with forward, left, up; or north, east, down with forward,
 starboard, down."""
+SIDE_UNKNOWN = (
+    "it does not say on which side its columns begin; {} is assumed, and if that is wrong the map "
+    "is a mirror image (--beams says which, `insonify check` finds out)"
+)
+SEAT_UNKNOWN = (
+    "where the sonar sits on the vehicle is not in it; it is taken to sit in the vehicle's frame, "
+    "unturned (--mount, or --sonar FILE.toml, says better)"
+)
+HEIGHT_UNKNOWN = (
+    "how high its beams are is not in it; a nominal {:g} degrees is taken (--sonar says better)"
+)
 MOST_PIXELS = 64_000_000
 """A sonar image larger than this is damage, not data."""
 
@@ -37,7 +48,7 @@ class Reading:
     Attributes:
         device: Fills in what the format does not hold: for an image folder all of the geometry,
             for a device's own file the elevation field of view and the tilt.
-        poses: A pose file in TUM format, instead of the poses in the recording.
+        poses: A pose file, TUM or telemetry, instead of the poses in the recording.
         clock_offset_s: Added to a ping's time before its pose is looked up.
         full_scale: The value of a pixel that means 1, if it is not its type's largest.
         max_gap_s: Between poses further apart pings have none; by default as in `PoseTrack`.
@@ -60,9 +71,10 @@ class Reading:
     convention: str | None = None
 
     def __post_init__(self) -> None:
-        for known, told in ((BEAMS, self.beams), (CONVENTIONS, self.convention)):
-            if told is not None and told not in known:
-                raise RecordingError(f"{told!r} is none of {', '.join(known)}")
+        told = (("beams", BEAMS, self.beams), ("convention", CONVENTIONS, self.convention))
+        for name, known, value in told:
+            if value is not None and value not in known:
+                raise RecordingError(f"--{name} takes {' or '.join(known)}, not {value!r}")
 
     @property
     def seat(self) -> Pose:
@@ -79,6 +91,10 @@ class Reading:
     def mirrors(self, port_first: bool) -> bool:
         """Whether the user says that beams run the other way than they seem to."""
         return self.beams is not None and (self.beams == BEAMS[0]) != port_first
+
+    def columns(self, port_first: bool) -> str:
+        """Which way columns that seem to run so are taken to run, in words."""
+        return BEAMS[port_first == self.mirrors(port_first)].replace("-", " ")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,11 +132,6 @@ class Recording:
             raise RecordingError(f"{self.path}: {err}") from err
 
 
-def columns(port_first: bool) -> str:
-    """Which way the columns of images are taken to run, in words."""
-    return BEAMS[not port_first].replace("-", " ")
-
-
 def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
     """A ping that tells all of itself, as the user says that it is instead."""
     ping = posed.ping
@@ -134,15 +145,23 @@ def corrected(posed: PosedPing, reading: Reading) -> PosedPing:
     return replace(posed, ping=ping)
 
 
-def check_options(path: Path, reading: Reading, *, simulated: bool, one_beam: bool) -> None:
-    """Refuse what has no meaning for a recording.
+def refuse_scale(path: Path, reading: Reading) -> None:
+    """Refuse a full scale of what was simulated.
 
     Raises:
-        RecordingError: It says something that would do nothing.
+        RecordingError: The user gives one.
     """
-    if simulated and reading.full_scale is not None:
+    if reading.full_scale is not None:
         raise RecordingError(f"{path}: its pixels are the simulator's, from 0 to 1; no --scale")
-    if one_beam and reading.beams is not None:
+
+
+def refuse_beams(path: Path, reading: Reading) -> None:
+    """Refuse an order of columns where there is a single beam.
+
+    Raises:
+        RecordingError: The user gives one.
+    """
+    if reading.beams is not None:
         raise RecordingError(
             f"{path}: a sonar of one beam has no columns for --beams to order; a head upside down "
             "is --mount with a roll of 180"
@@ -153,12 +172,10 @@ def at_other_times(recording: Recording, reading: Reading) -> Recording:
     """A recording with poses of its own, looked up at the times that a clock offset tells.
 
     Raises:
-        RecordingError: It has no clock.
+        RecordingError: Its times go back.
     """
     if reading.clock_offset_s == 0.0 or reading.poses is not None:
         return recording
-    if not recording.timed:
-        raise RecordingError(f"{recording.path}: it has no clock, so --clock-offset says nothing")
     known = [(one.ping.time_s, one.pose) for one in recording.read() if one.pose is not None]
     if not known:
         return recording
@@ -218,19 +235,6 @@ def span(values: Sequence[float]) -> float | list[float] | None:
     return low if low == high else [low, high]
 
 
-SIDE_UNKNOWN = (
-    "it does not say on which side its columns begin; {} is assumed, and if that is wrong the map "
-    "is a mirror image (--beams says which, `insonify check` finds out)"
-)
-SEAT_UNKNOWN = (
-    "where the sonar sits on the vehicle is not in it; it is taken to sit in the vehicle's frame, "
-    "unturned (--mount, or --sonar FILE.toml, says better)"
-)
-HEIGHT_UNKNOWN = (
-    "how high its beams are is not in it; a nominal {:g} degrees is taken (--sonar says better)"
-)
-
-
 def with_poses(recording: Recording, reading: Reading, beside: Path | None = None) -> Recording:
     """A recording with the poses of a TUM file, given or found ``beside`` it.
 
@@ -242,7 +246,7 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
     source = reading.poses or beside
     if source is None:
         return recording
-    track = read_poses(source, reading.max_gap_s)
+    track = read_poses(source, reading.max_gap_s, ned=reading.convention == "ned")
     timed = recording.timed
     if not timed and len(track) != recording.count:
         raise RecordingError(
@@ -253,12 +257,10 @@ def with_poses(recording: Recording, reading: Reading, beside: Path | None = Non
     if timed:
         facts["max_gap_s"] = track.max_gap_s
 
-    ned = reading.convention == "ned" and source.suffix.lower() != ".tlog"  # which says its own
-
     def read() -> Iterator[PosedPing]:
         for number, recorded in enumerate(recording.read()):
             pose = _pose_of(track, recorded.ping, number, timed, reading.clock_offset_s)
-            yield PosedPing(recorded.ping, enu_from_ned(pose) if ned and pose else pose)
+            yield PosedPing(recorded.ping, pose)
 
     return Recording(recording.path, recording.format, recording.count, timed, facts, read)
 

@@ -12,13 +12,12 @@ from insonify.errors import RecordingError, reason
 from insonify.io.archives import DAMAGE
 from insonify.io.pings import is_sweep, load_ping, load_sweep
 from insonify.io.recordings.recording import (
-    BEAMS,
     Reading,
     Recording,
     RecordingWarning,
-    check_options,
-    columns,
     corrected,
+    refuse_beams,
+    refuse_scale,
 )
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
@@ -35,7 +34,9 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
     if not files or not (path / "config.toml").is_file():
         return None
     turns = is_sweep(files[0])
-    check_options(path, reading, simulated=True, one_beam=turns)
+    refuse_scale(path, reading)
+    if turns:
+        refuse_beams(path, reading)
     count = len(files)
     if turns:
         count *= len(load_sweep(files[0]))
@@ -54,7 +55,7 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
 
     facts = {
         "poses": f"{count}, where they were simulated",
-        "columns": columns(reading.beams != BEAMS[1]),
+        "columns": reading.columns(port_first=True),
     }
     return Recording(path, "result of simulate", count, True, facts, read, exact=True)
 
@@ -79,7 +80,9 @@ def read_tour(path: Path, reading: Reading) -> Recording:
             raise ValueError("its tables are not of one length")
     except (*DAMAGE, KeyError) as err:
         raise RecordingError(f"{path}: damaged ({reason(err)})") from err
-    check_options(path, reading, simulated=True, one_beam=beams == 1)
+    refuse_scale(path, reading)
+    if beams == 1:
+        refuse_beams(path, reading)
 
     def read() -> Iterator[PosedPing]:
         for number in range(count):
@@ -92,6 +95,6 @@ def read_tour(path: Path, reading: Reading) -> Recording:
 
     facts = {
         "poses": f"{count}, as the vehicle believed",
-        "columns": columns(reading.beams != BEAMS[1]),
+        "columns": reading.columns(port_first=True),
     }
     return Recording(path, "result of fly", count, True, facts, read, exact=True)

@@ -79,9 +79,9 @@ def summarise_poses(path: Path, track: PoseTrack) -> dict[str, Any]:
 
 
 def swept(pings: Sequence[Ping]) -> Ping:
-    """Pings of one beam side by side by where they looked, from port to starboard, the last first.
+    """Pings of one beam side by side by where they looked, from port to starboard.
 
-    Pings that differ from the first in ranges are left out.
+    Of pings at one bearing the last is shown; those that differ from the first in ranges are not.
     """
     first = pings[0].geometry
     alike = [one for one in pings if one.image.shape == pings[0].image.shape]

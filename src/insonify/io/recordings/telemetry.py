@@ -20,7 +20,6 @@ from insonify.extras import optional
 from insonify.frames import enu_from_ned, quaternion_from_rotation, transform_from_pose
 from insonify.types import Float64, Pose
 
-SUFFIX = ".tlog"
 MOST_BYTES = 1 << 30
 _ATTITUDE, _POSITION = "ATTITUDE", "LOCAL_POSITION_NED"
 _NO_AUTOPILOT = 8

@@ -20,13 +20,12 @@ from PIL import Image
 
 from insonify.frames import compose, pose_from_transform
 from insonify.io.recordings.beams import EvenFan, even_fan
-from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading, columns
+from insonify.io.recordings.ping360 import BEAM_DEG
+from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading
 from insonify.io.recordings.ros.directions import BeamPlane, beam_plane
 from insonify.io.recordings.ros.messages import DTYPES
 from insonify.types import Array, Float64, Ping, Pose
 
-PING360_BEAM_DEG = (2.0, 25.0)
-"""Width and height of the Ping360's beam (Blue Robotics)."""
 ELEVATION_DEG = 20.0
 """Taken for a fan that no one tells the height of."""
 _UPWARDS = math.sin(math.radians(60.0))
@@ -66,7 +65,7 @@ class PingDecoder:
             mount: ``body_from_frame`` (4, 4) of the message's frame, where TF tells it for good.
             reading: Tells the mount and the height of the beams where nothing else does, and what
                 overrules the messages.
-            framed: Whether TF tells the frame for each ping, to `sit`.
+            framed: Whether TF tells how the frame sits, for good or for each ping, to `sit`.
             ours: Whether insonify wrote them, so that frames are those of the definition.
         """
         self.doubts: list[str] = []
@@ -74,7 +73,7 @@ class PingDecoder:
         self._shape, self.reading = shape, reading
         self._mount: Float64 | None = None
         self._ours = ours
-        self._framed = framed or mount is not None
+        self._framed = framed
         self._fans: dict[Any, EvenFan] = {}
         self.sit(mount)
 
@@ -164,7 +163,7 @@ class PingDecoder:
         if key not in self._fans:
             if bins < 2 or not math.isfinite(angle):
                 raise ValueError(f"it has {bins} samples at {angle} rad")
-            width, height = np.radians(PING360_BEAM_DEG).tolist()
+            width, height = np.radians(BEAM_DEG).tolist()
             ranges = (np.arange(bins, dtype=np.float64) + 0.5) * (float(message.range) / bins)
             angle = math.remainder(angle, math.tau)
             fan = even_fan(np.array([angle]), ranges, height, self._seat(), lone_beam_rad=width)
@@ -219,7 +218,7 @@ class PingDecoder:
             raise ValueError("it has one beam, and its width (rx_beamwidths) is not told")
         port_first = bool(azimuths[0] >= azimuths[-1])
         mirrored = self.reading.mirrors(port_first)
-        self.columns = columns(port_first ^ mirrored)
+        self.columns = self.reading.columns(port_first)
         order = np.argsort(-azimuths, kind="stable")
         fan = even_fan(
             azimuths[order], ranges, height, mount, lone_beam_rad=width, mirrored=mirrored

@@ -9,13 +9,11 @@ from typing import Any
 from insonify.errors import RecordingError, reason
 from insonify.io.recordings.beams import PixelError, unit_pixels
 from insonify.io.recordings.recording import (
-    BEAMS,
     Reading,
     Recording,
     RecordingWarning,
-    check_options,
-    columns,
     corrected,
+    refuse_beams,
     scaled,
 )
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
@@ -41,8 +39,6 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
             stacklevel=2,
         )
     topic = _sonar_topic(bag, index, reading)
-    if index.sonars[topic] == "SonarEcho":
-        check_options(bag.path, reading, simulated=False, one_beam=True)
     index.settle(namespace(topic))
     poses = whereabouts(bag, index, topic, reading)
     count = sum(n for (name, _), n in index.counts.items() if name == topic)
@@ -67,8 +63,9 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
                 stacklevel=2,
             )
 
-    if not poses.exact:
-        _look_at_the_first(bag, topic, decoder)
+    first = _first(read())  # so that the decoder knows what it has to assume
+    if first is not None and first.ping.geometry.beams == 1:
+        refuse_beams(bag.path, reading)
     facts = _facts(index, topic, poses, decoder)
     facts["doubts"] += scale_doubts
     return Recording(bag.path, bag.format, count, True, facts, read, poses.exact)
@@ -81,7 +78,7 @@ def _facts(index: Index, topic: str, poses: Whereabouts, decoder: PingDecoder) -
         "sonar_frame": index.frames.get(topic, ""),
         "mount": poses.mount_source,
         "beams": decoder.axes,
-        "columns": decoder.columns or columns(decoder.reading.beams != BEAMS[1]),
+        "columns": decoder.columns or decoder.reading.columns(port_first=True),
         "poses": poses.source,
         "doubts": [*poses.doubts, *decoder.doubts],
     }
@@ -92,16 +89,12 @@ def _facts(index: Index, topic: str, poses: Whereabouts, decoder: PingDecoder) -
     return facts
 
 
-def _look_at_the_first(bag: Bag, topic: str, decoder: PingDecoder) -> None:
-    """Decode the first ping, so that the decoder knows what it has to assume."""
-    for message in bag.read({topic}):
-        try:
-            decoder.ping(message.decode(), 0.0)
-        except PixelError:
-            return
-        except DAMAGE:
-            continue
-        return
+def _first(pings: Iterator[PosedPing]) -> PosedPing | None:
+    """The first ping; None if there is none, or its pixels cannot be meant, which reading tells."""
+    try:
+        return next(pings, None)
+    except PixelError:
+        return None
 
 
 def _scaled(bag: Bag, index: Index, topic: str, reading: Reading) -> tuple[Reading, list[str]]:

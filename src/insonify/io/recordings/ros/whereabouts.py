@@ -143,9 +143,8 @@ def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
     if turn is not None:
         mount = turn @ mount
     source = f"TF of {body}{why}{axes}"
-    if reading.mount is not None:
-        return Whereabouts(source, "--mount", None, frame=body, world=world, turn=turn, framed=True)
-    return Whereabouts(source, "TF", mount, frame=body, world=world, turn=turn, framed=True)
+    known = Whereabouts(source, "TF", mount, frame=body, world=world, turn=turn, framed=True)
+    return known if reading.mount is None else replace(known, mount_source="--mount", mount=None)
 
 
 def _tracked(
@@ -201,7 +200,7 @@ def _no_mount(index: Index, frame: str, base: str) -> str:
         why = f"its frame {frame!r} is not in TF"
     return (
         f"where the sonar sits on the vehicle is not known, as {why}; it is taken to sit in the "
-        "vehicle's frame, unturned (--sonar FILE.toml says how it is mounted)"
+        "vehicle's frame, unturned (--mount, or --sonar FILE.toml, says better)"
     )
 
 
