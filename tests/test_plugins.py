@@ -17,7 +17,7 @@ from insonify.io.recordings.arrays import save_arrays
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import Belief, Mapper, MappingSettings
-from insonify.mission.campaign import compare
+from insonify.mission.comparison import compare
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.planning.decision import Decision

@@ -8,7 +8,7 @@ import pytest
 
 from insonify.errors import GeometryError, MemoryLimitError
 from insonify.mapping.mapper import Belief
-from insonify.mission.campaign import summarise
+from insonify.mission.comparison import summarise
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.planning.decision import Decision

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,12 +37,8 @@ from insonify.cli.vehicles import (
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from insonify.config.settings import Table
-    from insonify.mission.loop import Step
     from insonify.mission.result import ScanResult
-    from insonify.mission.run import Run
 
 
 PlannersOption = Annotated[
@@ -66,6 +62,9 @@ def compare(
     current: CurrentOption = None,
     settings: SetOption = None,
     config: ConfigOption = None,
+    workers: Annotated[
+        int, typer.Option(min=1, help="Processes; each has its share of the cores.")
+    ] = 1,
     out: OutOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -86,7 +85,8 @@ def compare(
     flown = vehicle is not None
     with result_folder_if(out, force) as scratch, interruptible() as interrupted:
         with shown_run() as watch:
-            rows = _runs(names, seeds, layers, planners, flown, watch, interrupted)
+            how = {"workers": workers, "watch": watch, "should_stop": interrupted}
+            rows = _runs(names, seeds, layers, planners, flown, how)
         if not rows:
             print("insonify: interrupted before the first run was complete", file=sys.stderr)
             raise typer.Exit(EXIT_INTERRUPTED)
@@ -112,7 +112,7 @@ def result_folder_if(out: Path | None, force: bool) -> Iterator[Path | None]:
 
 def _tell(rows: list[ScanResult], folder: Path | None, *, flown: bool, as_json: bool) -> None:
     """Write and print the table."""
-    from insonify.mission.campaign import summarise, summarise_navigation
+    from insonify.mission.comparison import summarise, summarise_navigation
     from insonify.results.comparison import save_comparison
 
     table = summarise_navigation(rows) if flown else summarise(rows)
@@ -132,17 +132,16 @@ def _runs(
     layers: list[Table],
     planners: list[str] | None,
     flown: bool,
-    watch: Callable[[Run, Step], None],
-    should_stop: Callable[[], bool],
+    how: dict[str, Any],
 ) -> list[ScanResult]:
-    from insonify.mission.campaign import compare as compare_planners
-    from insonify.mission.campaign import compare_navigation
+    from insonify.mission.comparison import compare as compare_planners
+    from insonify.mission.comparison import compare_navigation
     from insonify.planning.factory import PLANNERS
 
     if flown:
-        return compare_navigation(names, seeds, layers, watch=watch, should_stop=should_stop)
+        return compare_navigation(names, seeds, layers, **how)
     order = [absolute(planner) or planner for planner in planners or PLANNERS]
-    return compare_planners(names, seeds, layers, order, watch=watch, should_stop=should_stop)
+    return compare_planners(names, seeds, layers, order, **how)
 
 
 def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
@@ -163,7 +162,7 @@ def print_comparison(table: Table) -> None:
     from rich.console import Console
     from rich.table import Table as RichTable
 
-    from insonify.mission.campaign import SCORES
+    from insonify.mission.comparison import SCORES
     from insonify.mission.setup import scenarios as known
 
     console = Console()

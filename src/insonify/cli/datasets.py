@@ -60,7 +60,8 @@ def dataset(
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
     from insonify.imaging.dataset import dataset_config
     from insonify.io.folders import unused_folder
-    from insonify.results.dataset import all_cores, make_dataset
+    from insonify.mission.crew import all_cores
+    from insonify.results.dataset import make_dataset
 
     chosen = choices(
         sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from insonify.io.datum import Datum
     from insonify.mission.setup import Config
 
-EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 
 app = typer.Typer(
     help="Simulate imaging sonar, map with it, and decide where to scan next.",
@@ -140,8 +140,14 @@ def configure(
 @contextmanager
 def interruptible(
     ending: str = "finishing with what is complete; Ctrl-C again discards it",
+    *signals: signal.Signals,
 ) -> Iterator[Callable[[], bool]]:
-    """Turn the first Ctrl-C into a question that the run asks; the second stops at once."""
+    """Turn the first Ctrl-C into a question that the run asks; the second stops at once.
+
+    Args:
+        ending: Said at the first.
+        signals: Those that are meant; by default that of Ctrl-C.
+    """
     asked = False
 
     def ask(signum: int, frame: object) -> None:
@@ -151,11 +157,12 @@ def interruptible(
         asked = True
         print(f"insonify: {ending}", file=sys.stderr)
 
-    before = signal.signal(signal.SIGINT, ask)
+    before = {number: signal.signal(number, ask) for number in signals or (signal.SIGINT,)}
     try:
         yield lambda: asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def datum_from_text(text: str) -> Datum:

@@ -54,10 +54,10 @@ def read_layer(path: Path) -> Table:
     Raises:
         ConfigError: The file is missing or not TOML.
     """
-    return _settled(read_table(path), path.parent)
+    return settled(read_table(path), path.parent)
 
 
-def _settled(table: Table, folder: Path) -> Table:
+def settled(table: Table, folder: Path) -> Table:
     """Files that a table names by their whole path; they are looked for in a folder."""
     for *outer, key in FILE_KEYS:
         inner: Any = table
@@ -95,7 +95,7 @@ def parse_setting(text: str) -> Table:
         parsed = value
     for part in reversed(key.strip().split(".")):
         parsed = {part: parsed}
-    return _settled(dict(parsed), Path.cwd())
+    return settled(dict(parsed), Path.cwd())
 
 
 def overlaid(layers: Iterable[Table]) -> Table:

@@ -50,8 +50,9 @@ def validated(
 
 
 def _explain(err: ValidationError, model: type[BaseModel], prefix: str, see: str) -> str:
-    """The first of pydantic's complaints as one sentence."""
-    first = err.errors()[0]
+    """The first of pydantic's complaints as one sentence; a wrong name explains one that lacks."""
+    told = err.errors()
+    first = next((one for one in told if one["type"] == "extra_forbidden"), told[0])
     key = prefix + ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         return f"there is no setting {key!r}{did_you_mean(key, all_keys(model, prefix), see)}"

@@ -1,214 +1,264 @@
-"""Planners side by side over seeds, as in Tables 2 and 3 of Park et al. 2025."""
+"""Campaigns: mappers x planners x scenarios x sonars x image models x navigation x seeds.
+
+A campaign is a list of chains.  The runs of a chain differ in their planner alone; each run is a
+pure function of its config, and is known by its hash.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import chain, product
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-import numpy as np
-from scipy import special
+from pydantic import BeforeValidator, Field
 
-from insonify.config.settings import Table
-from insonify.mission.loop import Step
-from insonify.mission.result import ScanResult
-from insonify.mission.run import Run, execute
-from insonify.mission.setup import scenario_config, scenarios
-from insonify.planning.factory import PLANNERS
+from insonify import __version__
+from insonify.config.layers import FILE_KEYS, absolute, overlaid, read_table, settled
+from insonify.config.settings import Settings, Table, did_you_mean, validated
+from insonify.errors import ConfigError
+from insonify.mission.setup import Config, scenario_config
+from insonify.planning.factory import FIXED_PLANS
 from insonify.plugins import is_plugin, load_plugin
+from insonify.vehicle.description import vehicle_named
+from insonify.vehicle.settings import TELEPORT
 
-SCORES = ("precision", "recall", "f1", "f2", "f3")
-NAVIGATION = ("truth", "dvl")
 FIRST = "entropy"
 """Flies first; the planners with a fixed plan then get as many scans as it took."""
+FACTORS = ("scenario", "sonar", "model", "navigation", "mapper", "planner", "seed")
+"""What a campaign varies, from the slowest to the fastest."""
+SEE = "docs/campaigns.md"
+_SCHEMA = 1
+_LISTS = {
+    "scenarios": "scenario",
+    "sonars": "sonar",
+    "models": "model",
+    "navigation": "navigation",
+    "mappers": "mapper",
+    "planners": "planner",
+}
+"""The lists of a campaign, and what each is a list of."""
 
 
-def compare(
-    names: Sequence[str],
-    seeds: int,
-    layers: Iterable[Table] = (),
-    planners: Sequence[str] = tuple(PLANNERS),
-    *,
-    watch: Callable[[Run, Step], None] = lambda run, step: None,
-    should_stop: Callable[[], bool] = lambda: False,
-) -> list[ScanResult]:
-    """Run planners on every scenario and seed.
+def _counted(told: Any) -> Any:
+    """So many seeds, from 0."""
+    if isinstance(told, int) and not isinstance(told, bool):
+        told = tuple(range(told))
+    if not isinstance(told, tuple | list) or not told:
+        raise ValueError("should be how many seeds, at least one, or a list of them")
+    return told
 
-    The entropy planner, if it is among them, flies first; the baselines then get as many scans, and
-    so as many pings, as it took with that seed.
+
+class CampaignSettings(Settings):
+    """What to fly.  A list that is empty leaves the choice to the settings."""
+
+    title: str = ""
+    seeds: Annotated[
+        tuple[Annotated[int, Field(ge=0, lt=2**63)], ...], BeforeValidator(_counted)
+    ] = Field(tuple(range(5)), description="a list, or how many, from 0")
+    scenarios: tuple[str, ...] = Field(min_length=1, description="see: insonify scenarios")
+    planners: tuple[str, ...] = Field((), description="by name, or your own: module:Name")
+    mappers: tuple[str, ...] = Field((), description="by name, or your own: module:Name")
+    navigation: tuple[Literal["none", "truth", "dvl"], ...] = Field(
+        (), description="none: no vehicle; truth, dvl: of the vehicle that the settings name"
+    )
+    sonars: tuple[str, ...] = Field((), description="see: insonify sonars")
+    models: tuple[str, ...] = Field((), description="cerqueira, physical")
+    set: Table = Field({}, description="settings of all runs")
+    set_for: dict[str, Table] = Field({}, description="settings of the runs with this in them")
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Runs that differ in their planner alone.
+
+    Attributes:
+        runs: Their configs, in the order of the tables.
+    """
+
+    runs: tuple[Config, ...]
+
+    @property
+    def first(self) -> int | None:
+        """Which of them says how many scans others fly, if one does."""
+        names = [run.planner for run in self.runs]
+        return names.index(FIRST) if FIRST in names else None
+
+    @property
+    def following(self) -> tuple[int, ...]:
+        """Those that wait for `first`."""
+        if self.first is None:
+            return ()
+        return tuple(k for k, run in enumerate(self.runs) if run.planner in FIXED_PLANS)
+
+
+def read_campaign(path: Path, layers: Iterable[Table] = ()) -> CampaignSettings:
+    """A campaign's file; files that it names are looked for beside it.
 
     Args:
-        names: Scenarios.
-        seeds: Seeds 0 to ``seeds - 1``.
-        layers: Settings on top of each scenario.
-        planners: Names of planners, or a user's own.
-        watch: Called after every step of every run.
-        should_stop: Asked during the runs; if true, the rows of the complete ones are returned.
+        path: TOML.
+        layers: Settings of all runs on top of those in the file.
 
     Raises:
-        InsonifyError: A scenario or a setting is not usable.
+        ConfigError: It cannot be read, or a key is unknown or of the wrong type.
     """
-    layers = list(layers)
-    order = sorted(dict.fromkeys(planners), key=lambda planner: planner != FIRST)
-    settings = _by_planner(order, layers)
-    _check_all(names, settings)
-    rows: list[ScanResult] = []
-    for name in names:
-        for seed in range(seeds):
-            scans: Table = {}
-            for planner in order:
-                chosen = {"planner": planner, "seed": seed}
-                config = scenario_config(name, [*settings[planner], chosen, scans])
-                run = execute(config, watch=watch, should_stop=should_stop)
-                if should_stop():
-                    return rows
-                # a planner of a user's own may call itself anything; the row has its full name
-                rows.append(run.result().model_copy(update={"planner": planner}))
-                if planner == FIRST:
-                    scans = {"survey": {"baseline_scans": len(run.paths)}}
-    return rows
+    table = read_table(path, "campaign file")
+    campaign = validated(CampaignSettings, table, where=str(path), see=SEE)
+    folder = path.absolute().parent
+    whole = {
+        key: tuple(absolute(name, folder) for name in getattr(campaign, key)) for key in _LISTS
+    }
+    return campaign.model_copy(
+        update={
+            **whole,
+            "set": overlaid([settled(campaign.set, folder), *layers]),
+            "set_for": {
+                absolute(name, folder): settled(table, folder)
+                for name, table in campaign.set_for.items()
+            },
+        }
+    )
 
 
-def _by_planner(planners: Sequence[str], layers: list[Table]) -> dict[str, list[Table]]:
-    """The settings of each planner: options are for a user's own, if one is among them."""
-    plain = layers
-    if not PLANNERS.keys() >= set(planners):
-        plain = [{k: v for k, v in layer.items() if k != "planner_options"} for layer in layers]
-    return {planner: plain if planner in PLANNERS else layers for planner in planners}
+def chains(campaign: CampaignSettings) -> tuple[Chain, ...]:
+    """All runs of a campaign, in the order of its tables; everything is checked first.
+
+    Raises:
+        ConfigError: A name or a setting is not usable, or two runs would be called the same.
+    """
+    _check_settings(campaign)
+    lists = [getattr(campaign, key) or (None,) for key in _LISTS if key != "planners"]
+    planners = sorted(campaign.planners or (None,), key=lambda planner: planner != FIRST)
+    found = []
+    for chosen in product(*lists):
+        at_seed_0 = [_config(campaign, (*chosen, planner)) for planner in planners]
+        for config in at_seed_0:
+            _check(config)
+        found += [
+            Chain(tuple(run.model_copy(update={"seed": seed}) for run in at_seed_0))
+            for seed in campaign.seeds
+        ]
+    _check_names(found)
+    return tuple(found)
 
 
-def _check_all(names: Sequence[str], settings: dict[str, list[Table]]) -> None:
+def _config(campaign: CampaignSettings, chosen: tuple[str | None, ...]) -> Config:
+    """The config of one combination, in the order of `_LISTS`.
+
+    A sonar's name stands below the settings, which may change some of its figures.
+    """
+    names = dict(zip(_LISTS.values(), chosen, strict=True))
+    scenario, sonar, navigation = (names.pop(key) for key in ("scenario", "sonar", "navigation"))
+    assert scenario is not None
+    below: Table = {key: name for key, name in names.items() if name is not None}
+    if sonar is not None:
+        below["sonar"] = {"preset": sonar}
+    own = [campaign.set_for[name] for name in chosen if name in campaign.set_for]
+    above: list[Table] = []
+    if navigation == "none":
+        above = [{"vehicle": {"name": TELEPORT}}]
+    elif navigation is not None:
+        above = [{"vehicle": {"navigation": navigation}}]
+    config = scenario_config(scenario, [below, campaign.set, *own, *above])
+    if navigation in ("truth", "dvl") and config.vehicle.name == TELEPORT:
+        raise ConfigError(
+            f"navigation {navigation!r} needs a vehicle; give set.vehicle.name, as in "
+            '[set.vehicle] name = "bluerov2"'
+        )
+    return config
+
+
+def _check_settings(campaign: CampaignSettings) -> None:
+    """Refuse settings of what the campaign's lists choose, and of what is not in them."""
+    names = [name for key in _LISTS for name in getattr(campaign, key)]
+    for name in campaign.set_for:
+        if name not in names:
+            raise ConfigError(
+                f"set_for.{name}: nothing of that name is in the campaign"
+                f"{did_you_mean(name, names, SEE)}"
+            )
+    for where, table in [("set", campaign.set)] + [
+        (f"set_for.{name}", table) for name, table in campaign.set_for.items()
+    ]:
+        for key, inner in table.items():
+            listed = {one: many for many, one in _LISTS.items() if getattr(campaign, many)}
+            many = "seeds" if key == "seed" else listed.get(key)
+            if key == "sonar" and isinstance(inner, dict) and "preset" not in inner:
+                many = None
+            if key == "vehicle" and isinstance(inner, dict) and "navigation" in inner:
+                key, many = "vehicle.navigation", listed.get("navigation")
+            if many is not None:
+                raise ConfigError(f"{where}.{key}: the campaign's {many} choose it; leave it out")
+
+
+def _check(config: Config) -> None:
     """Bad input shows before the first run."""
-    for name in names:
-        for planner, layers in settings.items():
-            config = scenario_config(name, [*layers, {"planner": planner}])
-            for what, own in (("planner", config.planner), ("mapper", config.mapper)):
-                if is_plugin(own):
-                    load_plugin(own, what)
+    for what, own in (("planner", config.planner), ("mapper", config.mapper)):
+        if is_plugin(own):
+            load_plugin(own, what)
+    if config.vehicle.name != TELEPORT:
+        vehicle_named(config.vehicle.name)
 
 
-def summarise(rows: Sequence[ScanResult]) -> Table:
-    """Mean and 95 % confidence interval of each score over the seeds, with the paper's figures.
-
-    Returns:
-        scenario -> planner -> {"scans", "pings", "path_m", "surface", "solid", "paper"}, where a
-        figure of ours is {"mean", "ci95"} and ``ci95`` the half width of Student's interval
-        (None for a single seed); "paper" is there for the paper's planners.
-    """
-    table: Table = {}
-    for name in dict.fromkeys(row.scenario for row in rows):
-        table[name] = {}
-        for planner in dict.fromkeys(row.planner for row in rows if row.scenario == name):
-            mine = [r for r in rows if r.scenario == name and r.planner == planner]
-            table[name][planner] = {
-                key: _interval([getattr(row, key) for row in mine])
-                for key in ("scans", "pings", "path_m")
-            } | {
-                kind: {
-                    match: {
-                        score: _interval([row.metrics[kind][match][score] for row in mine])
-                        for score in SCORES
-                    }
-                    for match in ("exact", "within_one_voxel")
-                }
-                for kind in ("surface", "solid")
-            }
-            paper = scenarios()[name]["paper"].get(planner)
-            if paper is not None:
-                table[name][planner]["paper"] = paper
-    return table
+def _check_names(found: Iterable[Chain]) -> None:
+    """Refuse runs that the tables could not tell apart."""
+    seen = set()
+    for run in chain.from_iterable(one.runs for one in found):
+        names = factors(run)
+        told = tuple(names.values())
+        if told in seen:
+            text = ", ".join(f"{key} {value}" for key, value in names.items())
+            raise ConfigError(f"two runs would both be {text}; name each thing once")
+        seen.add(told)
 
 
-def compare_navigation(
-    names: Sequence[str],
-    seeds: int,
-    layers: Iterable[Table],
-    *,
-    watch: Callable[[Run, Step], None] = lambda run, step: None,
-    should_stop: Callable[[], bool] = lambda: False,
-) -> list[ScanResult]:
-    """Fly every scenario and seed twice, by the truth and by the vehicle's own estimate.
-
-    Args:
-        names: Scenarios.
-        seeds: Seeds 0 to ``seeds - 1``.
-        layers: Settings on top of each scenario; they name the vehicle.
-        watch: Called after every step of every run.
-        should_stop: Asked during the runs; if true, the rows of the complete ones are returned.
-
-    Raises:
-        InsonifyError: A scenario or a setting is not usable.
-    """
-    layers = list(layers)
-    for name in names:
-        scenario_config(name, layers)
-    rows: list[ScanResult] = []
-    for name in names:
-        for seed in range(seeds):
-            for navigation in NAVIGATION:
-                chosen = {"seed": seed, "vehicle": {"navigation": navigation}}
-                config = scenario_config(name, [*layers, chosen])
-                run = execute(config, watch=watch, should_stop=should_stop)
-                if should_stop():
-                    return rows
-                rows.append(run.result())
-    return rows
-
-
-def summarise_navigation(rows: Sequence[ScanResult]) -> Table:
-    """What navigation by estimate costs, over the seeds.
-
-    Returns:
-        scenario -> "truth", "dvl" and "cost" -> figures, each {"mean", "ci95"} as in `summarise`;
-        the cost is the difference seed by seed.  The position error is the largest of a run.
-    """
-    table: Table = {}
-    for name in dict.fromkeys(row.scenario for row in rows):
-        by = {
-            navigation: {
-                row.seed: _flown(row)
-                for row in rows
-                if row.scenario == name and _navigation(row) == navigation
-            }
-            for navigation in NAVIGATION
-        }
-        both = sorted(set(by["truth"]) & set(by["dvl"]))
-        if not both:
-            continue
-        keys = list(by["truth"][both[0]])
-        table[name] = {
-            navigation: {key: _interval([by[navigation][s][key] for s in both]) for key in keys}
-            for navigation in NAVIGATION
-        }
-        table[name]["cost"] = {
-            key: _interval([by["dvl"][s][key] - by["truth"][s][key] for s in both]) for key in keys
-        }
-    return table
-
-
-def _navigation(row: ScanResult) -> str:
-    return row.vehicle.navigation if row.vehicle is not None else ""
-
-
-def _flown(row: ScanResult) -> dict[str, float]:
-    """The figures of a flown run that a comparison shows."""
-    assert row.vehicle is not None
-    scores = {
-        f"{kind} f1, {match.replace('_', ' ')}": row.metrics[kind][match]["f1"]
-        for kind in ("solid", "surface")
-        for match in ("exact", "within_one_voxel")
-    }
-    return scores | {
-        "largest position error, m": row.vehicle.pose_error["position_max_m"],
-        "scans": row.scans,
-        "path, m": row.path_m,
-        "time, s": row.vehicle.time_s,
+def factors(config: Config) -> dict[str, Any]:
+    """What a run is known by in tables, with the keys of `FACTORS`."""
+    flown = config.vehicle.name != TELEPORT
+    return {
+        "scenario": config.scenario,
+        "sonar": config.sonar.name,
+        "model": config.model,
+        "navigation": config.vehicle.navigation if flown else "none",
+        "mapper": config.mapper,
+        "planner": config.planner,
+        "seed": config.seed,
     }
 
 
-def _interval(values: Sequence[float]) -> dict[str, float | None]:
-    count = len(values)
-    half = None
-    if count > 1:
-        t = float(special.stdtrit(count - 1, 0.975))
-        half = t * float(np.std(values, ddof=1)) / math.sqrt(count)
-    return {"mean": float(np.mean(values)), "ci95": half}
+def with_scans(config: Config, scans: int) -> Config:
+    """The same with so many scans for a planner whose plan is fixed; one at least."""
+    survey = config.survey.model_copy(update={"baseline_scans": max(1, scans)})
+    return config.model_copy(update={"survey": survey})
+
+
+def run_key(config: Config) -> str:
+    """The hash by which a run's result is found again.
+
+    It is of the config, of the files that the config names, and of insonify's version.
+    """
+    table = config.model_dump(mode="json")
+    told = {"config": table, "files": list(_digests(table)), "insonify": [__version__, _SCHEMA]}
+    text = json.dumps(told, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _digests(table: Table) -> Iterator[str]:
+    """Of the files that a config names, each by its content."""
+    for keys in FILE_KEYS:
+        value: Any = table
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        if isinstance(value, str):
+            file = Path(value.partition(".py:")[0] + ".py" if ".py:" in value else value)
+            if file.suffix and file.is_file():
+                yield _digest(file, file.stat().st_mtime_ns)
+
+
+@lru_cache
+def _digest(file: Path, changed_ns: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

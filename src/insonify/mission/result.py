@@ -31,25 +31,27 @@ class Result(Settings):
 
     def to_row(self) -> dict[str, str | float | bool]:
         """One flat row for a table: nested keys joined by ``_``; lists are left out."""
-        return dict(_flat("", self.to_json()))
+        return dict(flat("", self.to_json()))
 
 
-def _flat(prefix: str, table: Table) -> list[tuple[str, Any]]:
+def flat(prefix: str, table: Table) -> list[tuple[str, Any]]:
+    """Nested keys joined by ``_``, after a prefix, with their values; lists are left out."""
     rows: list[tuple[str, Any]] = []
     for key, value in table.items():
         if isinstance(value, dict):
-            rows += _flat(f"{prefix}{key}_", value)
+            rows += flat(f"{prefix}{key}_", value)
         elif not isinstance(value, list):
             rows.append((prefix + key, value))
     return rows
 
 
 class ScanRow(Settings):
-    """The state of a scan's run after one of its scans."""
+    """The state of a scan's run after one of its scans; the time is a vehicle's."""
 
     scan: int
     pings: int
     path_m: float
+    time_s: float | None = None
     total_entropy_bits: float
     metrics: Metrics
 
@@ -152,6 +154,17 @@ class ComparisonResult(Result):
     table: Table
 
 
+class CampaignResult(Result):
+    """What ``campaign`` flew, so far: how many of its runs, and the means over their seeds."""
+
+    kind: Literal["campaign"] = "campaign"
+    title: str
+    runs: int
+    planned: int
+    failed: int
+    table: tuple[Table, ...]
+
+
 RESULTS: dict[str, type[Result]] = {
     "scan": ScanResult,
     "map": MapResult,
@@ -159,4 +172,5 @@ RESULTS: dict[str, type[Result]] = {
     "tour": TourResult,
     "dataset": DatasetResult,
     "comparison": ComparisonResult,
+    "campaign": CampaignResult,
 }

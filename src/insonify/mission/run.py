@@ -66,12 +66,17 @@ class Flight:
         """Where it was, believed to be and was meant to be."""
         return self.voyage.craft.track if self.voyage.craft is not None else Track()
 
+    @property
+    def time_s(self) -> float:
+        """How long it has been under way."""
+        return self.track.moments[-1].time_s if self.track.moments else 0.0
+
     def result(self, truth: GroundTruth) -> FlightResult:
         """Its figures."""
         return FlightResult(
             name=self.voyage.vehicle.name,
             navigation=self.voyage.settings.navigation,
-            time_s=self.track.moments[-1].time_s if self.track.moments else 0.0,
+            time_s=self.time_s,
             pose_error=pose_errors(self.track),
             metrics_at_true_poses=score_map(self.reference.voxels, truth),
         )
@@ -338,6 +343,7 @@ def _assess(run: Run) -> ScanRow:
         scan=len(run.paths),
         pings=run.pings,
         path_m=round(run.path_m, 6),
+        time_s=None if run.flight is None else run.flight.time_s,
         total_entropy_bits=round(float(entropy_map(window).sum(dtype=np.float64)), 3),
         metrics=score_map(run.mapper.voxels, run.truth),
     )

@@ -31,6 +31,8 @@ PLANNERS: dict[str, Callable[[Task], Planner]] = {
     "uniform": lambda task: UniformPlanner(task.area, task.baseline_scans),
     "lawnmower": lambda task: LawnmowerPlanner(task.area, task.baseline_scans),
 }
+FIXED_PLANS = frozenset({"uniform", "lawnmower"})
+"""Those that fly as many scans as they are told."""
 
 
 def make_planner(name: str, task: Task, options: Mapping[str, Any] | None = None) -> Planner:

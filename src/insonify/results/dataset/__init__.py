@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import shutil
 import signal
 import warnings
@@ -258,8 +257,3 @@ def _write_shot(shots: Shots, folder: Path, number: int) -> None:
 
 def _marker(folder: Path, number: int) -> Path:
     return folder / DONE / f"{number:06d}.json"
-
-
-def all_cores() -> int:
-    """How many processes this machine runs side by side."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
