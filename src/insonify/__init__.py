@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from insonify.mission.setup import scenario_config as scenario_config
     from insonify.planning.decision import Decision as Decision
     from insonify.planning.decision import Planner as Planner
+    from insonify.results.campaign import load_campaign as load_campaign
     from insonify.results.files import load_result as load_result
     from insonify.results.scan import load_scan as load_scan
     from insonify.results.scan import save_scan as save_scan
@@ -45,6 +46,7 @@ _HOMES = {
     "VoxelMap": "insonify.mapping.voxels",
     "World": "insonify.mission.setup",
     "execute": "insonify.mission.run",
+    "load_campaign": "insonify.results.campaign",
     "load_map": "insonify.io.maps",
     "load_result": "insonify.results.files",
     "load_scan": "insonify.results.scan",

@@ -47,6 +47,10 @@ class RendererError(InsonifyError):
     """A renderer cannot be had here, or cannot do what is asked."""
 
 
+class ClusterError(InsonifyError):
+    """A cluster's scheduler does not answer, or its workers cannot fly what is asked."""
+
+
 class MissingExtraError(InsonifyError):
     """An optional package is needed and not installed."""
 

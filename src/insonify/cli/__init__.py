@@ -21,6 +21,7 @@ from insonify.errors import InsonifyError
 # --help lists the commands in this order
 from insonify.cli import scans
 from insonify.cli import comparisons
+from insonify.cli import campaigns
 from insonify.cli import recordings
 from insonify.cli import checks
 from insonify.cli import views
@@ -38,6 +39,7 @@ from insonify.cli import warming
 
 __all__ = [
     "app",
+    "campaigns",
     "checks",
     "comparisons",
     "configs",

@@ -1,0 +1,148 @@
+"""The workers of a Dask cluster as a crew."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import Any, Self
+
+from insonify import __version__
+from insonify.errors import ClusterError, InsonifyError, reason
+from insonify.extras import optional
+from insonify.jit import kernels_digest
+from insonify.mission.crew import Crew, Failure, Outcome, Place, fly_run, pin_kernels
+from insonify.mission.setup import Config
+
+_ANSWER_S = 10
+_MOMENT_S = 0.5
+_ONE_AT_A_TIME = threading.Lock()
+"""Kernels that run on several threads may not be called from several threads."""
+
+
+class Cluster(Crew):
+    """A Dask cluster that runs already.
+
+    A worker of its flies one run at a time, and its kernels use as many threads as the worker has.
+    """
+
+    def __init__(self, address: str) -> None:
+        """Call the scheduler.
+
+        Args:
+            address: As in ``tcp://10.0.0.1:8786``, or ``host:port``.
+
+        Raises:
+            ClusterError: Nothing answers there, or a worker has another insonify.
+            MissingExtraError: Dask is not installed.
+        """
+        self._dask: Any = optional("distributed", "cluster", "a campaign on a cluster")
+        for name in ("distributed.client", "distributed.core", "distributed.comm"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # we say it in a sentence
+        self._address = address
+        self._flying: dict[Any, Place] = {}
+        try:
+            self._client = self._dask.Client(address, timeout=_ANSWER_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, RuntimeError) as err:
+            raise ClusterError(
+                f"--scheduler {address}: no Dask scheduler answers there ({reason(err)}); check "
+                "the address, and that the same versions of Dask are installed on both sides"
+            ) from err
+        try:
+            self._check_workers()
+        except BaseException:
+            self._client.close()
+            raise
+
+    def _check_workers(self) -> None:
+        """Refuse workers that would make something else, before the first run."""
+        answers = self._client.run(own_version, on_error="return")
+        for worker, answer in answers.items():
+            if answer != own_version():
+                raise ClusterError(_other(self._address, worker, answer))
+
+    def room(self) -> int:
+        """Two for each thread, so that none waits for work."""
+        threads: int = sum(self._client.nthreads().values())
+        return max(2, 2 * threads) - len(self._flying)
+
+    def take(self, place: Place, config: Config) -> None:
+        """Send a run to the scheduler."""
+        future = self._client.submit(_fly_on_worker, config, own_version(), pure=False)
+        self._flying[future] = place
+
+    def landed(self) -> list[tuple[Place, Outcome]]:
+        """The runs that came back; one whose worker died again and again has failed.
+
+        Raises:
+            ClusterError: The scheduler is gone, or a worker has another insonify.
+        """
+        try:
+            with self._client.as_current():
+                self._dask.wait(list(self._flying), _MOMENT_S, return_when="FIRST_COMPLETED")
+        except (TimeoutError, self._dask.TimeoutError):
+            pass
+        except (self._dask.CancelledError, OSError) as err:
+            raise self._lost() from err
+        over = [future for future in self._flying if future.done()]
+        if self._client.status != "running":
+            raise self._lost()
+        return [(self._flying.pop(future), self._outcome(future)) for future in over]
+
+    def _outcome(self, future: Any) -> Outcome:
+        if future.status == "finished":
+            outcome: Outcome = future.result()
+            return outcome
+        if future.status != "error":
+            raise self._lost()
+        err = future.exception()
+        if isinstance(err, InsonifyError):
+            raise err
+        if isinstance(err, ModuleNotFoundError):
+            raise ClusterError(_other(self._address, "a worker", err))
+        if type(err).__name__ == "KilledWorker":
+            return Failure(
+                "the workers that flew it died, one after another, most likely for want of memory; "
+                "give them more, or fewer threads"
+            )
+        return Failure(f"{type(err).__name__}: {reason(err)}")
+
+    def _lost(self) -> ClusterError:
+        return ClusterError(
+            f"--scheduler {self._address}: the connection was lost; what is complete is kept, and "
+            "the same command goes on from there"
+        )
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Call off what is not complete; the cluster stays."""
+        if self._client.status == "running":
+            self._client.cancel(list(self._flying))
+        self._client.close()
+
+
+def own_version() -> str:
+    """What must be the same on both sides: insonify's version, and its kernels."""
+    return f"{__version__}, kernels {kernels_digest()}"
+
+
+def _fly_on_worker(config: Config, version: str) -> Outcome:
+    """On a worker: a run, unless it would be another one than was asked for."""
+    if own_version() != version:
+        raise ClusterError(_other("", "a worker", own_version(), version))
+    with _ONE_AT_A_TIME:
+        from distributed import get_worker
+
+        pin_kernels(get_worker().state.nthreads)
+        return fly_run(config)
+
+
+def _other(address: str, worker: str, has: object, here: str | None = None) -> str:
+    what = reason(has) if isinstance(has, BaseException) else f"insonify {has}"
+    where = f"--scheduler {address}: " if address else ""
+    return (
+        f"{where}{worker} has {what}, and here is insonify {here or own_version()}; install the "
+        "same version for all"
+    )
