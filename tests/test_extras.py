@@ -123,3 +123,21 @@ def test_the_groups_come_with_a_plain_install() -> None:
     project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
     for group in GROUPS:
         assert set(project["optional-dependencies"][group]) <= set(project["dependencies"])
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "words"),
+    [
+        ("pyarrow", "campaigns", []),
+        ("distributed", "cluster", ["--scheduler", "127.0.0.1:9"]),
+    ],
+)
+def test_a_campaign_says_what_it_lacks_before_it_flies(
+    module: str, extra: str, words: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "c.toml").write_text('scenarios = ["tetrapod"]\n')
+    done = _without([module], "campaign", "c.toml", "--out", "o", *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert module in line and f"pip install 'insonify[{extra}]'" in line
+    assert not (tmp_path / "o").exists()

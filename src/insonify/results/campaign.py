@@ -96,7 +96,7 @@ def _crew(workers: int, scheduler: str | None, should_stop: Callable[[], bool]) 
 @contextmanager
 def _opened(folder: Path, campaign: CampaignSettings) -> Iterator[None]:
     """The folder of a campaign, for one process at a time; what was made of its parts goes."""
-    if folder.exists() and not (folder / CAMPAIGN).is_file() and (
+    if folder.exists() and not is_campaign(folder) and (
         not folder.is_dir() or any(folder.iterdir())
     ):  # fmt: skip
         raise OutputError(f"{folder}: already exists and is no campaign; give another --out")
@@ -185,6 +185,11 @@ def _tables(folder: Path, found: Sequence[Landed]) -> dict[str, Any]:
     return {"runs": _table(runs), "curves": curves.combine_chunks(), "seconds": _table(seconds)}
 
 
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder is one of `run_campaign`."""
+    return (folder / CAMPAIGN).is_file()
+
+
 def load_campaign(folder: Path | str) -> Campaign:
     """The results of a campaign, also of one that is still flown.
 
@@ -208,7 +213,7 @@ def load_campaign(folder: Path | str) -> Campaign:
 
 def _loaded(folder: Path) -> tuple[CampaignSettings, dict[str, Any]]:
     """A campaign's settings and its Arrow tables: the files, or what its parts make."""
-    if not (folder / CAMPAIGN).is_file():
+    if not is_campaign(folder):
         raise ResultError(f"{folder}: is no folder of a campaign; check the path")
     settings = read_campaign(folder / CAMPAIGN)
     files = {name: folder / f"{name}.parquet" for name in TABLES}
@@ -264,7 +269,7 @@ def _arrow() -> Any:
 def _table(rows: list[Table]) -> Any:
     """Rows as an Arrow table; a column that holds nothing is one of numbers."""
     arrow = _arrow()
-    names = list(dict.fromkeys(name for row in rows for name in row))
+    names = list(dict.fromkeys(name for row in rows for name in row)) or ["run"]
     columns = {name: arrow.array([row.get(name) for row in rows]) for name in names}
     empty = {name: column for name, column in columns.items() if arrow.types.is_null(column.type)}
     return arrow.table(columns | {name: col.cast(arrow.float64()) for name, col in empty.items()})
