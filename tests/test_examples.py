@@ -42,7 +42,7 @@ def _number(text: str, pattern: str) -> float:
 
 def test_there_is_one_for_each_subject() -> None:
     subjects = ("first_ping", "first_scan", "own_sonar", "own_planner", "own_recording", "dataset",
-                "vehicle", "own_mapper")  # fmt: skip
+                "vehicle", "own_mapper", "campaign")  # fmt: skip
     assert [f"{k:02d}_{subject}.py" for k, subject in enumerate(subjects, 1)] == EXAMPLES
 
 
@@ -103,6 +103,14 @@ def test_own_mapper(folder: Path) -> None:
     said = _run("08_own_mapper.py", folder)
     scores = [float(score) for score in re.findall(r": \d scans, solid F1 ([\d.]+)", said)]
     assert len(scores) == 2 and min(scores) > 0.4
+
+
+def test_campaign(folder: Path) -> None:
+    said = _run("09_campaign.py", folder)
+    assert 0.3 < _number(said, r"after one scan: F1 ([\d.]+)") < 0.9
+    assert len(re.findall(r"^entropy - uniform: F1 [+-]0\.\d+, p [\d.]+", said, re.M)) == 2
+    assert len(re.findall(r"^bayes - Despeckled: ", said, re.M)) == 2
+    assert (folder / "campaign/report.html").is_file()
 
 
 @pytest.mark.parametrize(

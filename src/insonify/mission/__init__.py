@@ -1,1 +1,1 @@
-"""The loop of the method, what a config becomes, runs, maps of recordings, comparisons."""
+"""The loop of the method, what a config becomes, runs, campaigns, maps of recordings."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from functools import cache
 from typing import Any, Self
 
 from insonify import __version__
@@ -123,6 +124,7 @@ class Cluster(Crew):
         self._client.close()
 
 
+@cache
 def own_version() -> str:
     """What must be the same on both sides: insonify's version, and its kernels."""
     return f"{__version__}, kernels {kernels_digest()}"

@@ -141,16 +141,18 @@ def fly_all(
 def known_runs(
     plan: Sequence[Chain], known: Callable[[Config], ScanResult | None]
 ) -> Iterator[Landed]:
-    """The runs of a campaign that were flown before; nothing is flown."""
+    """The runs of a campaign that were flown before, by their place; nothing is flown."""
     for number, one in enumerate(plan):
         scans: dict[int, int] = {}
+        found = []
         for k in sorted(range(len(one.runs)), key=lambda k: k in one.following):
             config, lacking = _ready(one, (number, k), scans)
             result = None if lacking else known(config)
             if result is not None:
                 if k == one.first:
                     scans[number] = result.scans
-                yield Landed((number, k), config, result, known=True)
+                found.append(Landed((number, k), config, result, known=True))
+        yield from sorted(found, key=lambda landed: landed.place)
 
 
 def _ready(chain: Chain, place: Place, scans: dict[int, int]) -> tuple[Config, Failure | None]:

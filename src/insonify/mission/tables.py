@@ -19,8 +19,17 @@ HEADLINE = "solid_exact_f1"
 """The score that is drawn and tested unless another is asked for."""
 SETTING = ("scenario", "sonar", "model", "navigation")
 """Within one of these, curves can be drawn over each other."""
-SPENT = ("path_m", "pings", "time_s")
-_NO_SCORES = {"run", *FACTORS, "scan", "scans", *SPENT, "total_entropy_bits", "stop_reason"}
+AREAS = {"area_path": "path_m", "area_pings": "pings", "area_time": "time_s"}
+"""What scores are drawn against, and the columns of the areas under those curves."""
+_NO_SCORES = {
+    "run",
+    *FACTORS,
+    "scan",
+    "scans",
+    *AREAS.values(),
+    "total_entropy_bits",
+    "stop_reason",
+}
 _OF_THE_VEHICLE = ("pose_error_", "true_poses_")
 
 
@@ -93,15 +102,15 @@ def areas(curves: Any, score: str = HEADLINE, along: str = "path_m") -> dict[str
         end = float(setting[along].max())
         for run, moments in setting.groupby("run", sort=False):
             x, y = moments[along].to_numpy(float), moments[score].to_numpy(float)
-            if end > 0.0:
+            if end > 0.0 and np.isfinite(x).all():
                 found[str(run)] = mean_height(x, y, end)
     return found
 
 
 def with_areas(campaign: Campaign, score: str = HEADLINE) -> Any:
-    """The runs with the areas under their curves of a score: ``area_path``, ``area_pings``."""
+    """The runs with the areas under their curves of a score: ``area_path`` and so on (`AREAS`)."""
     runs = campaign.runs.copy()
-    for name, along in (("area_path", "path_m"), ("area_pings", "pings")):
+    for name, along in AREAS.items():
         runs[name] = runs["run"].map(areas(campaign.curves, score, along))
     return runs
 

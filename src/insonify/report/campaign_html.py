@@ -10,6 +10,7 @@ from insonify.config.settings import Table
 from insonify.mission.campaign import FACTORS
 from insonify.mission.statistics import interval
 from insonify.mission.tables import (
+    AREAS,
     HEADLINE,
     SETTING,
     Campaign,
@@ -58,7 +59,7 @@ def _settings(campaign: Campaign, runs: Any) -> Iterator[Table]:
     """What is shown of each setting: the curves, and a table of final figures."""
     keys = list(SETTING)
     curves = dict(iter(campaign.curves.groupby(keys, sort=False)))
-    rows = ["area_path", "area_pings", "scans", "pings", "path_m", "time_s", *scores(campaign.runs)]
+    rows = [*AREAS, "scans", "pings", "path_m", "time_s", *scores(campaign.runs)]
     for names, group in runs.groupby(keys, sort=False):
         by = dict(iter(group.groupby(["mapper", "planner"], sort=False)))
         yield {

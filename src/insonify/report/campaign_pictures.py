@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from insonify.mission.statistics import height_at, interval
-from insonify.mission.tables import SPENT, short
+from insonify.mission.tables import AREAS, short
 from insonify.report.fans import INK, png
 from insonify.types import Float64
 
@@ -25,7 +25,7 @@ def draw_curves(curves: Any, score: str) -> bytes:
         curves: Of `Campaign`, of one setting.
         score: A column of theirs.
     """
-    spent = [along for along in SPENT if curves[along].notna().all()]
+    spent = [along for along in AREAS.values() if curves[along].notna().all()]
     figure = Figure(figsize=(4.9 * len(spent), 3.9), layout="constrained")
     row = np.atleast_1d(figure.subplots(1, len(spent), sharey=True))
     for axes, along in zip(row, spent, strict=True):

@@ -9,7 +9,7 @@ import fcntl
 import io
 import json
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,14 @@ from insonify.config.toml import to_toml
 from insonify.errors import MissingExtraError, OutputError, ResultError, reason
 from insonify.extras import optional
 from insonify.io.folders import write_file
-from insonify.mission.campaign import CampaignSettings, chains, factors, read_campaign, run_key
+from insonify.mission.campaign import (
+    FACTORS,
+    CampaignSettings,
+    chains,
+    factors,
+    read_campaign,
+    run_key,
+)
 from insonify.mission.crew import Crew, Failure, Here, Landed, Processes, fly_all, known_runs
 from insonify.mission.result import CampaignResult, ScanResult
 from insonify.mission.setup import Config
@@ -71,7 +78,7 @@ def run_campaign(
             failed += isinstance(landed.outcome, Failure)
             done += 1
             watch(done, failed, planned)
-        _save_tables(folder, list(known_runs(plan, lambda run: _known(folder, run))))
+        _save_tables(folder, known_runs(plan, lambda run: _known(folder, run)))
         tables = load_campaign(folder)
         result = CampaignResult(
             title=campaign.title,
@@ -164,14 +171,13 @@ def _known(folder: Path, config: Config) -> ScanResult | None:
         ) from err
 
 
-def _save_tables(folder: Path, found: Sequence[Landed]) -> None:
+def _save_tables(folder: Path, found: Iterable[Landed]) -> None:
     """Write the tables of the runs that are complete: the same bytes however they came about."""
-    ordered = sorted(found, key=lambda landed: landed.place)
-    for name, table in _tables(folder, ordered).items():
+    for name, table in _tables(folder, found).items():
         write_file(folder / f"{name}.parquet", _parquet(table))
 
 
-def _tables(folder: Path, found: Sequence[Landed]) -> dict[str, Any]:
+def _tables(folder: Path, found: Iterable[Landed]) -> dict[str, Any]:
     """Arrow tables by name."""
     arrow = _arrow()
     parts, runs, seconds = [], [], []
@@ -201,14 +207,15 @@ def load_campaign(folder: Path | str) -> Campaign:
     optional("pandas", "campaigns", "a campaign's tables")
     settings, tables = _loaded(folder)
     try:
-        failed = tuple(
+        records = [
             json.loads(file.read_text(encoding="utf-8"))
-            for file in sorted((folder / FAILED).glob("*.json"))
-        )
+            for file in (folder / FAILED).glob("*.json")
+        ]
     except (OSError, ValueError) as err:
         raise ResultError(f"{folder / FAILED}: cannot be read ({reason(err)})") from err
     frames = {name: table.to_pandas() for name, table in tables.items()}
-    return Campaign(settings.title, **frames, failed=failed)
+    records.sort(key=lambda row: [str(row[name]) for name in FACTORS])
+    return Campaign(settings.title, **frames, failed=tuple(records))
 
 
 def _loaded(folder: Path) -> tuple[CampaignSettings, dict[str, Any]]:
@@ -220,8 +227,7 @@ def _loaded(folder: Path) -> tuple[CampaignSettings, dict[str, Any]]:
     if all(file.is_file() for file in files.values()):
         return settings, {name: _read(file) for name, file in files.items()}
     found = known_runs(chains(settings), lambda run: _known(folder, run))
-    ordered = sorted(found, key=lambda landed: landed.place)
-    return settings, _tables(folder, ordered)
+    return settings, _tables(folder, found)
 
 
 def query(folder: Path | str, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
