@@ -111,23 +111,60 @@ def test_asked_to_stop_it_keeps_what_is_complete(place: Path, number: signal.Sig
     assert (result["runs"], result["planned"]) == (len(parts), RUNS)
 
 
-def test_a_dask_cluster_gives_the_same_table(place: Path) -> None:
-    code = (
-        "import subprocess, sys\n"
-        "from distributed import LocalCluster\n"
-        "if __name__ == '__main__':\n"
-        "    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as c:\n"
-        "        command = [sys.executable, '-m', 'insonify', 'campaign', 'c.toml',\n"
-        "                   '--scheduler', c.scheduler_address, '--out', 'dask']\n"
-        "        sys.exit(subprocess.run(command).returncode)\n"
-    )
-    (place / "cluster.py").write_text(code)
-    done = subprocess.run(
-        [sys.executable, "cluster.py"], cwd=place, capture_output=True, text=True, timeout=300,
+CLUSTER = """
+import logging, subprocess, sys, time
+from pathlib import Path
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    out, *words = sys.argv[1:]
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+    ) as cluster:
+        flown = subprocess.Popen(
+            [sys.executable, "-m", "insonify", "campaign", "c.toml", "--out", out,
+             "--scheduler", cluster.scheduler_address]
+        )
+        while "leave" in words and len(list(Path(out).glob("parts/*.parquet"))) < 2:
+            time.sleep(0.02)
+        if "leave" not in words:
+            flown.wait()
+    sys.exit(flown.wait())
+"""
+
+
+def _on_a_cluster(*words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A campaign on two worker processes of Dask."""
+    (cwd / "cluster.py").write_text(CLUSTER)
+    return subprocess.run(
+        [sys.executable, "cluster.py", *words],
+        cwd=cwd, env=os.environ | environment, capture_output=True, text=True, timeout=300,
         check=False,
     )  # fmt: skip
+
+
+def test_a_dask_cluster_gives_the_same_table(place: Path) -> None:
+    done = _on_a_cluster("dask", cwd=place)
     assert done.returncode == 0, done.stderr
     assert _tables(place / "dask") == _tables(place / "whole")
+
+
+def test_a_cluster_that_goes_away_is_one_sentence_and_what_is_complete_is_kept(place: Path) -> None:
+    done = _on_a_cluster("lost", "leave", cwd=place)
+    assert done.returncode == 2
+    lines = [line for line in done.stderr.splitlines() if line.startswith("insonify: ")]
+    assert len(lines) == 1 and "the connection was lost; what is complete is kept" in lines[0]
+    assert 2 <= len(list((place / "lost/parts").iterdir())) < RUNS
+
+
+def test_a_run_that_kills_every_worker_of_a_cluster_fails_alone(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    own = CAMPAIGN.replace('"entropy"', '"own.py:Fickle"').replace("seeds = 4", "seeds = 1")
+    (tmp_path / "c.toml").write_text(own)
+    done = _on_a_cluster("o", cwd=tmp_path, FICKLE="killed")
+    assert done.returncode == 1, done.stderr
+    assert "1 of 3 runs failed: the workers that flew it died" in done.stderr
+    assert len(list((tmp_path / "o/parts").iterdir())) == 2
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,15 @@
+"""What is flown, in which order, by whom: with a crew that flies nothing."""
+
 from __future__ import annotations
 
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
-from insonify.errors import ConfigError
+from insonify.errors import ClusterError, ConfigError
 from insonify.mission.campaign import (
     CampaignSettings,
     Chain,
@@ -16,7 +19,16 @@ from insonify.mission.campaign import (
     run_key,
     with_scans,
 )
-from insonify.mission.crew import Failure, Landed, Outcome, Place, fly_all, known_runs
+from insonify.mission.cluster import fly_on_worker
+from insonify.mission.crew import (
+    Failure,
+    Landed,
+    Outcome,
+    Place,
+    fly_all,
+    known_runs,
+    pin_kernels,
+)
 from insonify.mission.result import ScanResult, ScanRow
 from insonify.mission.setup import Config, scenario_config
 from insonify.types import StopReason
@@ -220,3 +232,20 @@ def test_what_waits_for_a_run_that_failed_fails_and_the_rest_does_not() -> None:
     assert told.count("entropy, whose number of scans uniform takes, failed") == 2
     other = [one.outcome for one in fly_all(plan, _Crew(2, fail="uniform"))]
     assert sum(isinstance(one, ScanResult) for one in other) == 2
+
+
+def test_kernels_of_a_worker_are_pinned_to_its_share() -> None:
+    before = numba.get_num_threads()
+    try:
+        pin_kernels(1)
+        assert numba.get_num_threads() == 1
+        pin_kernels(100_000)
+        assert numba.get_num_threads() == before
+    finally:
+        numba.set_num_threads(before)
+
+
+def test_a_worker_of_another_version_flies_nothing() -> None:
+    config = scenario_config("tetrapod")
+    with pytest.raises(ClusterError, match=r"a worker has insonify .* here is insonify 9.9;"):
+        fly_on_worker(config, "9.9")

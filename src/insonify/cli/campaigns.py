@@ -14,6 +14,7 @@ from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
+    Interrupted,
     JsonOption,
     OutOption,
     SetOption,
@@ -66,14 +67,17 @@ def campaign(
                 done, planned, note=f"{done} of {planned}" + f", {failed} failed" * (failed > 0)
             )
 
-        result = run_campaign(
-            what,
-            folder,
-            workers=workers or all_cores(),
-            scheduler=scheduler,
-            watch=watch,
-            should_stop=interrupted,
-        )
+        try:
+            result = run_campaign(
+                what,
+                folder,
+                workers=workers or all_cores(),
+                scheduler=scheduler,
+                watch=watch,
+                should_stop=interrupted,
+            )
+        except Interrupted:
+            raise typer.Exit(EXIT_INTERRUPTED) from None  # told at the first Ctrl-C
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:

@@ -68,7 +68,7 @@ class Cluster(Crew):
 
     def take(self, place: Place, config: Config) -> None:
         """Send a run to the scheduler."""
-        future = self._client.submit(_fly_on_worker, config, own_version(), pure=False)
+        future = self._client.submit(fly_on_worker, config, own_version(), pure=False)
         self._flying[future] = place
 
     def landed(self) -> list[tuple[Place, Outcome]]:
@@ -130,7 +130,7 @@ def own_version() -> str:
     return f"{__version__}, kernels {kernels_digest()}"
 
 
-def _fly_on_worker(config: Config, version: str) -> Outcome:
+def fly_on_worker(config: Config, version: str) -> Outcome:
     """On a worker: a run, unless it would be another one than was asked for."""
     if own_version() != version:
         raise ClusterError(_other("", "a worker", own_version(), version))
@@ -142,7 +142,7 @@ def _fly_on_worker(config: Config, version: str) -> Outcome:
 
 
 def _other(address: str, worker: str, has: object, here: str | None = None) -> str:
-    what = reason(has) if isinstance(has, BaseException) else f"insonify {has}"
+    what = f"no insonify ({reason(has)})" if isinstance(has, BaseException) else f"insonify {has}"
     where = f"--scheduler {address}: " if address else ""
     return (
         f"{where}{worker} has {what}, and here is insonify {here or own_version()}; install the "
