@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 from insonify.errors import ClusterError, ConfigError
 from insonify.mission.campaign import (
+    _LISTS,
     CampaignSettings,
     Chain,
     chains,
@@ -153,6 +155,16 @@ def test_a_wrong_file_is_named(tmp_path: Path, text: str, words: str) -> None:
     file.write_text(text)
     with pytest.raises(ConfigError, match=f"c.toml: .*{words}"):
         read_campaign(file)
+
+
+def test_the_campaign_in_the_docs_is_one(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/campaigns.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    (tmp_path / "c.toml").write_text(text)
+    told = read_campaign(tmp_path / "c.toml")
+    assert told.seeds == tuple(range(10)) and all(getattr(told, key) for key in _LISTS)
+    known = told.model_copy(update={"mappers": ("bayes",), "set_for": {}})
+    assert sum(len(one.runs) for one in chains(known)) == 10 * 2 * 3 * 2 * 1 * 2
 
 
 def test_files_are_looked_for_beside_the_campaign(tmp_path: Path) -> None:

@@ -102,6 +102,15 @@ def test_one_process_at_a_time(folder: Path) -> None:
     assert run_campaign(_settings(), folder).runs == 1
 
 
+def test_killed_before_its_file_was_written_it_goes_on(folder: Path) -> None:
+    (folder / "campaign.toml").unlink()
+    with pytest.raises(OutputError, match="is no campaign; give another --out"):
+        run_campaign(_settings(), folder)
+    for name in ("runs.parquet", "curves.parquet", "seconds.parquet", "report.html", "result.json"):
+        (folder / name).unlink()
+    assert run_campaign(_settings(), folder).runs == 1
+
+
 def test_a_wrong_campaign_makes_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="tetrapot"):
         run_campaign(_settings(scenarios=["tetrapot"]), tmp_path / "c")

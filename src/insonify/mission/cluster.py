@@ -56,15 +56,15 @@ class Cluster(Crew):
 
     def _check_workers(self) -> None:
         """Refuse workers that would make something else, before the first run."""
+        self._threads: int = sum(self._client.nthreads().values())
         answers = self._client.run(own_version, on_error="return")
         for worker, answer in answers.items():
             if answer != own_version():
                 raise ClusterError(_other(self._address, worker, answer))
 
     def room(self) -> int:
-        """Two for each thread, so that none waits for work."""
-        threads: int = sum(self._client.nthreads().values())
-        return max(2, 2 * threads) - len(self._flying)
+        """Two for each thread there is, so that none waits for work."""
+        return max(2, 2 * self._threads) - len(self._flying)
 
     def take(self, place: Place, config: Config) -> None:
         """Send a run to the scheduler."""
@@ -84,9 +84,13 @@ class Cluster(Crew):
             pass
         except (self._dask.CancelledError, OSError) as err:
             raise self._lost() from err
-        over = [future for future in self._flying if future.done()]
         if self._client.status != "running":
             raise self._lost()
+        try:
+            self._threads = sum(self._client.nthreads().values())  # workers come and go
+        except OSError as err:
+            raise self._lost() from err
+        over = [future for future in self._flying if future.done()]
         return [(self._flying.pop(future), self._outcome(future)) for future in over]
 
     def _outcome(self, future: Any) -> Outcome:

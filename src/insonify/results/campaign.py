@@ -33,9 +33,12 @@ from insonify.mission.setup import Config
 from insonify.mission.tables import Campaign, curve_rows, run_row, summarise_campaign
 from insonify.results.files import save_result
 
-CAMPAIGN, PARTS, FAILED, REPORT = "campaign.toml", "parts", "failed", "report.html"
+CAMPAIGN, REPORT = "campaign.toml", "report.html"
+PARTS, FAILED, LOCK = "parts", "failed", ".lock"
 TABLES = ("runs", "curves", "seconds")
 """Files ``NAME.parquet``, and what queries call them."""
+_OURS = (PARTS, FAILED, LOCK)
+"""There before the campaign's file, should the process be killed in between."""
 _RESULT = b"insonify_result"
 _HEAD = "A campaign; the same command goes on with it, or adds what is added here:"
 
@@ -104,13 +107,13 @@ def _crew(workers: int, scheduler: str | None, should_stop: Callable[[], bool]) 
 def _opened(folder: Path, campaign: CampaignSettings) -> Iterator[None]:
     """The folder of a campaign, for one process at a time; what was made of its parts goes."""
     if folder.exists() and not is_campaign(folder) and (
-        not folder.is_dir() or any(folder.iterdir())
+        not folder.is_dir() or any(file.name not in _OURS for file in folder.iterdir())
     ):  # fmt: skip
         raise OutputError(f"{folder}: already exists and is no campaign; give another --out")
     try:
         (folder / PARTS).mkdir(parents=True, exist_ok=True)
         (folder / FAILED).mkdir(exist_ok=True)
-        lock = (folder / ".lock").open("w")
+        lock = (folder / LOCK).open("w")
     except OSError as err:
         raise OutputError(
             f"{folder}: cannot be written ({reason(err)}); give another --out"
@@ -130,7 +133,7 @@ def _opened(folder: Path, campaign: CampaignSettings) -> Iterator[None]:
         yield
         with suppress(OSError):
             (folder / FAILED).rmdir()  # if none failed
-    (folder / ".lock").unlink(missing_ok=True)
+    (folder / LOCK).unlink(missing_ok=True)
 
 
 def _save(folder: Path, landed: Landed) -> None:
