@@ -50,10 +50,14 @@ def validated(
 
 
 def _explain(err: ValidationError, model: type[BaseModel], prefix: str, see: str) -> str:
-    """The first of pydantic's complaints as one sentence; a wrong name explains one that lacks."""
+    """One of pydantic's complaints as a sentence: the first, or the wrong name behind it."""
     told = err.errors()
-    first = next((one for one in told if one["type"] == "extra_forbidden"), told[0])
-    key = prefix + ".".join(str(part) for part in first["loc"])
+    first, lacking = told[0], _key(told[0])
+    if first["type"] == "missing":  # a misspelt name is likely what was meant for it
+        unknown = [one for one in told if one["type"] == "extra_forbidden"]
+        like = (one for one in unknown if difflib.get_close_matches(_key(one), [lacking]))
+        first = next(like, first)
+    key = prefix + _key(first)
     if first["type"] == "extra_forbidden":
         return f"there is no setting {key!r}{did_you_mean(key, all_keys(model, prefix), see)}"
     message = first["msg"].removeprefix("Value error, ")
@@ -62,6 +66,10 @@ def _explain(err: ValidationError, model: type[BaseModel], prefix: str, see: str
     value = f", not {given!r}" if not isinstance(given, dict | list) else ""
     name = f"setting {key}: " if key else ""
     return f"{name}{message}{value}; see {see}"
+
+
+def _key(complaint: Any) -> str:
+    return ".".join(str(part) for part in complaint["loc"])
 
 
 def all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
