@@ -15,6 +15,7 @@ class Stream(IntEnum):
     VEHICLE = 3
     DATASET_POSES = 4
     DATASET_NOISE = 5
+    PLACE = 6
 
 
 def generator(seed: int, stream: Stream, *number: int) -> np.random.Generator:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from PIL import Image
 
 from insonify.errors import MeshError
 from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
+from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
 
 
 def _make(seed: int, relief_m: float = 0.3) -> Seabed:
@@ -97,3 +99,26 @@ def test_raster_with_gaps_or_too_small_is_refused(tmp_path: Path) -> None:
         raster_seabed(tmp_path / "gap.npy", cell_m=1.0, depth_m=0.0)
     with pytest.raises(MeshError, match="2 x 2"):
         raster_seabed(tmp_path / "row.npy", cell_m=1.0, depth_m=0.0)
+
+
+def test_a_slope_rises_where_it_is_told_to() -> None:
+    level = procedural_seabed(
+        np.random.default_rng(0), size_m=20, depth_m=7, relief_m=0, correlation_m=2, cell_m=0.5
+    )
+    slope = level.tilted(math.radians(10.0), math.radians(90.0))
+    x, y = np.array([-3.0, 0.0, 5.0]), np.array([0.0, 4.0, -6.0])
+    np.testing.assert_allclose(slope.height_at(x, y), -7 + math.tan(math.radians(10.0)) * y)
+    assert level.tilted(0.0, 1.0) is level
+
+
+def test_the_seed_turns_and_buries_an_object() -> None:
+    settings = ObjectSettings(mesh="pipe", yaw_spread_deg=180.0, burial_spread_m=0.3)
+    level = SeabedSettings(relief_m=0.0)
+    stages = [Stage(settings, level, seed) for seed in (0, 1, 0)]
+    boxes = [stage.body.box for stage in stages]
+    assert boxes[0] == boxes[2] != boxes[1]
+    depths = [-20.0 - box.low_m[2] for box in boxes]
+    assert all(0.0 <= depth <= 0.3 for depth in depths)
+    assert depths[0] != pytest.approx(depths[1])
+    plain = Stage(ObjectSettings(mesh="pipe"), level, 5).body.box
+    np.testing.assert_allclose(plain.low_m, [-2.5, -0.45, -20.0], atol=1e-6)

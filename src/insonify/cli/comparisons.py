@@ -168,12 +168,11 @@ def print_comparison(table: Table) -> None:
     console = Console()
     first = ("lawnmower", "uniform", "entropy")
     for name, planners in table.items():
-        source = known()[name]["paper"]["source"]
+        paper = known()[name].get("paper")
         order = [planner for planner in first if planner in planners]
         order += [planner for planner in planners if planner not in first]
-        view = RichTable(
-            "", title=f"{name} (paper: {source})", box=box.SIMPLE, padding=(0, 1, 0, 0)
-        )
+        title = name if paper is None else f"{name} (paper: {paper['source']})"
+        view = RichTable("", title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
         short = [planner.rpartition(":")[2] for planner in order]
         for planner, head in zip(order, short, strict=True):
             head = head if short.count(head) == 1 else planner
@@ -188,8 +187,8 @@ def print_comparison(table: Table) -> None:
                     figure = planners[planner][kind][match][score]
                     spread = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
                     cells.append(f"{figure['mean']:.3f}{spread}")
-                    paper = planners[planner].get("paper")
-                    cells.append("" if paper is None else f"{paper[score]:.3f}")
+                    theirs = planners[planner].get("paper")
+                    cells.append("" if theirs is None else f"{theirs[score]:.3f}")
                 view.add_row(score, *cells)
             view.add_section()
         for key, label in (("scans", "scans"), ("pings", "pings"), ("path_m", "path, m")):

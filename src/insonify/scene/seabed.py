@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,21 @@ class Seabed:
             self.heights_m, [rows, columns], order=1, mode="nearest"
         )
         return heights
+
+    def tilted(self, slope_rad: float, towards_rad: float) -> Seabed:
+        """Turned into a slope about its middle.
+
+        Args:
+            slope_rad: How steep.
+            towards_rad: Where it rises to; 0 is east.
+        """
+        if slope_rad == 0.0:
+            return self
+        rows, columns = self.heights_m.shape
+        north = (np.arange(rows) - (rows - 1) / 2) * (self.cell_m * math.sin(towards_rad))
+        east = (np.arange(columns) - (columns - 1) / 2) * (self.cell_m * math.cos(towards_rad))
+        rise_m = math.tan(slope_rad) * (north[:, None] + east)
+        return Seabed(self.heights_m + rise_m, self.cell_m, self.origin_m)
 
     def triangles(self) -> tuple[Float64, Int32]:
         """The grid as vertices (N, 3) and faces (M, 3), normals up."""

@@ -28,7 +28,8 @@ class ObjectSettings(Settings):
     """The object that is scanned."""
 
     mesh: str = Field(
-        "tetrapod", description="tetrapod, shipwreck, or a mesh file (OBJ, STL, PLY, GLB, DAE)"
+        "tetrapod",
+        description=", ".join(PROCEDURAL_OBJECTS) + ", or a mesh file (OBJ, STL, PLY, GLB, DAE)",
     )
     scale: float = Field(1.0, gt=0, le=1e6, description="factor to metres")
     x_m: float = Field(0.0, ge=-1e5, le=1e5)
@@ -40,6 +41,12 @@ class ObjectSettings(Settings):
     pitch_deg: float = Field(0.0, ge=-360, le=360)
     yaw_deg: float = Field(0.0, ge=-360, le=360)
     burial_m: float = Field(0.0, ge=0, le=100, description="depth of its base below the seabed")
+    yaw_spread_deg: float = Field(
+        0.0, ge=0, le=180, description="turned by up to so much more to either side, by the seed"
+    )
+    burial_spread_m: float = Field(
+        0.0, ge=0, le=100, description="buried by up to so much more, by the seed"
+    )
     reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
 
 
@@ -54,12 +61,16 @@ class SeabedSettings(Settings):
     depth_m: float = Field(20.0, ge=0, le=11000, description="mean depth; raster zero height")
     relief_m: float = Field(0.05, ge=0, le=100, description="standard deviation of height")
     correlation_m: float = Field(2.0, gt=0, le=1000, description="length scale of the relief")
+    slope_deg: float = Field(0.0, ge=0, le=45, description="of the procedural seabed")
+    slope_towards_deg: float = Field(
+        0.0, ge=-360, le=360, description="where it rises to; 0 is east, 90 north"
+    )
     reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
 
 
 @dataclass(frozen=True)
 class Stage:
-    """An object on a seabed; the seed shapes the relief.
+    """An object on a seabed; the seed shapes the relief, and turns and buries the object.
 
     Raises:
         MeshError: When built: the mesh or the raster cannot be used.
@@ -98,7 +109,7 @@ class Stage:
             correlation_m=settings.correlation_m,
             cell_m=settings.cell_m,
             centre_m=(self.object.x_m, self.object.y_m),
-        )
+        ).tilted(math.radians(settings.slope_deg), math.radians(settings.slope_towards_deg))
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
@@ -113,14 +124,17 @@ class Stage:
         """The object, standing on (or in) the seabed under its centre."""
         settings = self.object
         ground = self.seabed.height_at(np.array([settings.x_m]), np.array([settings.y_m]))
-        base_z = float(ground[0]) - settings.burial_m
-        angles = (settings.roll_deg, settings.pitch_deg, settings.yaw_deg)
+        aside, deeper = generator(self.seed, Stream.PLACE).uniform((-1.0, 0.0), 1.0)
+        burial_m = settings.burial_m + deeper * settings.burial_spread_m
+        base_z = float(ground[0]) - burial_m
+        yaw_deg = settings.yaw_deg + aside * settings.yaw_spread_deg
+        angles = (settings.roll_deg, settings.pitch_deg, yaw_deg)
         turn = rotation_from_rpy(*(math.radians(math.remainder(a, 360.0)) for a in angles))
         placed = place_mesh(self.mesh, settings.x_m, settings.y_m, base_z, turn)
         buried_z = self.seabed.height_at(placed.vertices[:, 0], placed.vertices[:, 1])
         if (placed.vertices[:, 2] <= buried_z).all():
             raise MeshError(
                 f"{settings.mesh}: all of the object lies below the seabed at a burial of "
-                f"{settings.burial_m:g} m; bury it less (--set object.burial_m=...)"
+                f"{burial_m:.3g} m; bury it less (--set object.burial_m=...)"
             )
         return Body(Path(settings.mesh).stem, placed, Material("object", settings.reflectance))
