@@ -78,7 +78,7 @@ def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
         ("sonar.range_min_m=20", "must exceed"),
         ("entropy.candidates=0", "entropy.candidates"),
         ("entropy.termination=1.5", "entropy.termination"),
-        ("planner=random", "choose one of entropy, lawnmower, uniform, or give your own"),
+        ("planner=random", "choose one of entropy, lawnmower, lawnmower-near, rosette"),
         ("seed=-1", "seed"),
         ("object=3", "object"),
     ],

@@ -136,11 +136,11 @@ def _runs(
 ) -> list[ScanResult]:
     from insonify.mission.comparison import compare as compare_planners
     from insonify.mission.comparison import compare_navigation
-    from insonify.planning.factory import PLANNERS
+    from insonify.planning.factory import PAPERS
 
     if flown:
         return compare_navigation(names, seeds, layers, **how)
-    order = [absolute(planner) or planner for planner in planners or PLANNERS]
+    order = [absolute(planner) or planner for planner in planners or PAPERS]
     return compare_planners(names, seeds, layers, order, **how)
 
 

@@ -18,6 +18,7 @@ from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.planning.active import EntropySettings
 from insonify.planning.decision import Planner, SurveyArea
 from insonify.planning.factory import PLANNER_PARTS, PLANNERS, Task, check_planner, make_planner
+from insonify.planning.rosette import RosetteSettings
 from insonify.plugins import check_object, name_of
 from insonify.scene import Scene
 from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
@@ -59,7 +60,7 @@ class Config(Imaging):
 
     scenario: str = Field("tetrapod", description="the scenario that this config started from")
     planner: str = Field(
-        "entropy", description="entropy, uniform, lawnmower, or your own: module:Name, file.py:Name"
+        "entropy", description=", ".join(PLANNERS) + ", or your own: module:Name, file.py:Name"
     )
     mapper: str = Field("bayes", description="bayes, or your own: module:Name or file.py:Name")
     object: ObjectSettings = ObjectSettings()
@@ -67,6 +68,7 @@ class Config(Imaging):
     survey: SurveySettings = SurveySettings()
     mapping: MappingSettings = MappingSettings()
     entropy: EntropySettings = EntropySettings()
+    rosette: RosetteSettings = RosetteSettings()
     vehicle: VehicleSettings = VehicleSettings()
     planner_options: dict[str, Any] = Field({}, description="of a planner of your own")
     mapper_options: dict[str, Any] = Field({}, description="of a mapper of your own")
@@ -154,8 +156,14 @@ class World:
     def planner(self) -> Planner:
         """The planner that the config names."""
         config = self.config
-        scans = config.survey.baseline_scans
-        task = Task(self.area, config.sonar.geometry, config.entropy, scans)
+        task = Task(
+            self.area,
+            config.sonar.geometry,
+            config.entropy,
+            config.rosette,
+            config.survey.baseline_scans,
+            config.mapper,
+        )
         return make_planner(config.planner, task, config.planner_options)
 
     def mapper(self) -> Mapper:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 from insonify.mapping.mapper import Belief
 from insonify.planning.candidates import straight_path
 from insonify.planning.decision import Decision, SurveyArea
-from insonify.types import Nav, Pose, ScanPath, StopReason
+from insonify.planning.rosette import rosette_around
+from insonify.types import FanGeometry, Nav, Pose, ScanPath, StopReason
+
+_REACH = 0.95
+"""Share of the sonar's range within which a near scan begins."""
 
 
 def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
@@ -26,13 +31,34 @@ def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
     return straight_path(start, end, area.waypoints)
 
 
+def near_area(area: SurveyArea, geometry: FanGeometry, least_altitude_m: float) -> SurveyArea:
+    """The order to scan an area as a careful pilot would: begun at the sonar's range, and low.
+
+    The paper's scans begin where the object is far out of range, at one height for all objects.
+
+    Args:
+        area: The paper's order.
+        geometry: The sonar.
+        least_altitude_m: See `rosette_around`.
+    """
+    height_m = rosette_around(area, geometry, least_altitude_m).top_m
+    z_m = height_m if geometry.tilt_rad > 0.0 else area.z_m
+    drop_m = max(0.0, z_m - area.region.low_m[2])
+    reach_m = math.sqrt(max(0.0, (_REACH * geometry.range_max_m) ** 2 - drop_m**2))
+    before_m = max(area.overrun_m, reach_m - area.extent_m(area.heading_rad) / 2)
+    return replace(area, z_m=z_m, approach_m=before_m)
+
+
 class FixedPlan(ABC):
     """A number of scans known beforehand; the map is not looked at."""
 
-    def __init__(self, area: SurveyArea, scans: int) -> None:
-        """Plan ``scans`` scans of an area."""
+    name: str
+
+    def __init__(self, area: SurveyArea, scans: int, name: str = "") -> None:
+        """Plan ``scans`` scans of an area, under another name if one is given."""
         self.area = area
         self.scans = scans
+        self.name = name or self.name
 
     def next_scan(self, belief: Belief, nav: Nav) -> Decision:
         """The next scan of the plan."""

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from insonify.planning.active import EntropyPlanner, EntropySettings
-from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner
+from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner, near_area
 from insonify.planning.decision import Planner, SurveyArea
+from insonify.planning.rosette import RosettePlanner, RosetteSettings
 from insonify.plugins import check_name, load_plugin, made
 from insonify.types import FanGeometry
 
@@ -18,20 +19,52 @@ PLANNER_PARTS = ("name", "next_scan")
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What planners are told: the order, the sonar, and the built-in ones' own settings."""
+    """What planners are told: the order, the sonar, and the built-in ones' own settings.
+
+    Attributes:
+        area: The order.
+        geometry: The sonar.
+        entropy: Settings of `entropy`.
+        rosette: Settings of `rosette`.
+        baseline_scans: How many scans the fixed plans fly.
+        mapper: Name of the mapper, which says how high it wants the sonar.
+    """
 
     area: SurveyArea
     geometry: FanGeometry
     entropy: EntropySettings = EntropySettings()
+    rosette: RosetteSettings = RosetteSettings()
     baseline_scans: int = 3
+    mapper: str = "bayes"
+
+    @property
+    def least_altitude_m(self) -> float:
+        """Height above the seabed that suits the mapper."""
+        return _LEAST_ALTITUDE_M.get(self.mapper, 0.0)
+
+    @property
+    def near(self) -> SurveyArea:
+        """The order as a careful pilot would have it."""
+        return near_area(self.area, self.geometry, self.least_altitude_m)
 
 
+_LEAST_ALTITUDE_M = {"carving": 5.2}
+"""Bayes maps best low, where an arc of the fan is short; carving where rays come down steeply."""
 PLANNERS: dict[str, Callable[[Task], Planner]] = {
     "entropy": lambda task: EntropyPlanner(task.area, task.geometry, task.entropy),
     "uniform": lambda task: UniformPlanner(task.area, task.baseline_scans),
     "lawnmower": lambda task: LawnmowerPlanner(task.area, task.baseline_scans),
+    "uniform-near": lambda task: UniformPlanner(task.near, task.baseline_scans, "uniform-near"),
+    "lawnmower-near": lambda task: LawnmowerPlanner(
+        task.near, task.baseline_scans, "lawnmower-near"
+    ),
+    "rosette": lambda task: RosettePlanner(
+        task.area, task.geometry, task.rosette, task.least_altitude_m
+    ),
 }
-FIXED_PLANS = frozenset({"uniform", "lawnmower"})
+PAPERS = ("entropy", "uniform", "lawnmower")
+"""The planners of Park et al. 2025."""
+FIXED_PLANS = frozenset({"uniform", "lawnmower", "uniform-near", "lawnmower-near"})
 """Those that fly as many scans as they are told."""
 
 
