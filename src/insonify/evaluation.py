@@ -141,16 +141,37 @@ def _touches(triangle: Float64, ix: int, iy: int, iz: int) -> bool:
 def score_map(voxels: VoxelMap, truth: GroundTruth) -> dict[str, dict[str, dict[str, float]]]:
     """Scores of a map, by kind of truth (surface, solid) and tolerance (exact, within_one_voxel).
 
-    A voxel of the map is reconstructed if it is more likely occupied than not.
+    The map's surface is held against the true one, and what it holds for more likely occupied than
+    not against the solid.
     """
-    reconstructed = voxels.window(truth.box).occupied & truth.scored
+    window = voxels.window(truth.box)
+    pairs = {
+        "surface": (window.surface, truth.surface),
+        "solid": (window.occupied, truth.solid),
+    }
     return {
         kind: {
-            name: asdict(compare_voxels(reconstructed, actual & truth.scored, tolerance))
+            name: asdict(compare_voxels(mapped & truth.scored, actual & truth.scored, tolerance))
             for name, tolerance in (("exact", 0), ("within_one_voxel", 1))
         }
-        for kind, actual in (("surface", truth.surface), ("solid", truth.solid))
+        for kind, (mapped, actual) in pairs.items()
     }
+
+
+def ghosts(voxels: VoxelMap, region: Box, truth: GroundTruth, scene: Scene) -> float:
+    """Voxels that a map holds for occupied where there is only water, as a share of the object's.
+
+    Those within a region but outside the truth's box, at least a voxel above the seabed: scores
+    over the object's box do not see them.
+    """
+    window = voxels.window(region)
+    centres = window.centres_m(window.occupied)
+    outside = ((centres < truth.box.low_m) | (centres > truth.box.high_m)).any(axis=1)
+    water = outside
+    if scene.seabed is not None:
+        floor = scene.seabed.height_at(centres[:, 0], centres[:, 1])
+        water = outside & (centres[:, 2] - 1.5 * voxels.voxel_m >= floor)
+    return int(np.count_nonzero(water)) / max(1, int(np.count_nonzero(truth.solid & truth.scored)))
 
 
 def compare_voxels(reconstructed: Bool, actual: Bool, tolerance: int = 0) -> Scores:

@@ -25,7 +25,8 @@ def _scanning() -> None:
     from insonify.mission.run import execute
     from insonify.mission.setup import scenario_config
 
-    execute(scenario_config("tetrapod", [_SMALL]))
+    for more in ({}, {"mapper": "carving", "planner": "rosette", "rosette": {"pings": 8}}):
+        execute(scenario_config("tetrapod", [_SMALL, more]))
 
 
 def _flying() -> None:

@@ -163,7 +163,7 @@ def test_equation_2_is_bayes_rule_in_log_odds() -> None:
     index = np.floor(far / 0.1)
     window = mapper.voxels.window(Box.of(index * 0.1, (index + 1) * 0.1))
     assert window.probability.item() == pytest.approx(prior_occupied, rel=1e-6)
-    assert prior_occupied == pytest.approx(0.6**3 / (0.6**3 + 0.4**3))
+    assert prior_occupied == pytest.approx(0.56**3 / (0.56**3 + 0.44**3))
 
 
 def test_equation_1_voxels_are_independent() -> None:
@@ -232,7 +232,7 @@ def test_no_block_of_the_fan_is_missed(azimuth_deg: float, rng: np.random.Genera
 
 
 @pytest.mark.parametrize(
-    "bad", [{"voxel_m": 0.0}, {"p_free": 0.01}, {"p_occupied": 0.4}, {"pixel_threshold": 256}]
+    "bad", [{"voxel_m": 0.0}, {"p_free": 0.0001}, {"p_occupied": 0.4}, {"pixel_threshold": 256}]
 )
 def test_impossible_settings_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ValidationError):

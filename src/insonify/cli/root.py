@@ -52,7 +52,7 @@ PlannerOption = Annotated[
 MapperOption = Annotated[
     str | None,
     typer.Option(
-        "--mapper", metavar="NAME", help="bayes; or your own: module:Name or file.py:Name."
+        "--mapper", metavar="NAME", help="bayes, carving; or your own: module:Name or file.py:Name."
     ),
 ]
 RendererOption = Annotated[

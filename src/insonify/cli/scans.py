@@ -158,7 +158,8 @@ def shown_run() -> Iterator[Callable[[Run, Step], None]]:
         def watch(run: Run, step: Step) -> None:
             if isinstance(step, Decided):
                 title = f"{run.config.scenario} {run.planner}, scan {len(run.paths) + 1}"
-                bar.restart(title, run.config.survey.waypoints)
+                path = step.decision.path
+                bar.restart(title, len(path.waypoints) if path is not None else 1)
             elif isinstance(step, Mapped):
                 done = len(run.paths[-1].waypoints)
                 bar.show(done, note=f"{bar.rate(done):.0f} pings/s")

@@ -6,10 +6,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.carving import CarvingMapper
 from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mapping.voxels import BYTES_PER_VOXEL
 from insonify.plugins import check_name, load_plugin, made
 
-MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {"bayes": BayesMapper}
+MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {
+    "bayes": BayesMapper,
+    "carving": CarvingMapper,
+}
+_INSIDE: dict[str, Callable[[MappingSettings], int]] = {
+    "carving": lambda settings: 1 + settings.carving.inside**3
+}
+"""Voxels that a mapper keeps besides its map's, for each of those."""
 MAPPER_PARTS = ("name", "voxels", "integrate", "finish_scan", "tells", "save", "load")
 """What every mapper has."""
 
@@ -42,3 +51,9 @@ def check_mapper(name: str, options: Mapping[str, Any] | None = None) -> None:
         ConfigError: It is neither, or a known one is given options.
     """
     check_name("mapper", name, MAPPERS, options)
+
+
+def bytes_per_voxel(name: str, settings: MappingSettings) -> int:
+    """What a voxel of a mapper's map takes, with what the mapper keeps for it."""
+    kept = _INSIDE[name](settings) if name in _INSIDE else 0
+    return BYTES_PER_VOXEL * (1 + kept)

@@ -17,12 +17,12 @@ class BayesSettings(Settings):
     """The inverse sensor model of `bayes`."""
 
     p_occupied: float = Field(
-        0.6, gt=0.5, lt=1, description="p(occupied | the voxel's arc has an echo)"
+        0.56, gt=0.5, lt=1, description="p(occupied | the voxel's arc has an echo)"
     )
     p_free: float = Field(
-        0.15, gt=0, lt=0.5, description="p(occupied | silence before the first echo)"
+        0.05, gt=0, lt=0.5, description="p(occupied | silence before the first echo)"
     )
-    p_min: float = Field(0.02, gt=0, lt=0.5, description="lower clamp of the probability")
+    p_min: float = Field(0.001, gt=0, lt=0.5, description="lower clamp of the probability")
     p_max: float = Field(0.98, gt=0.5, lt=1, description="upper clamp of the probability")
 
     @model_validator(mode="after")
@@ -35,6 +35,14 @@ class BayesSettings(Settings):
         return self
 
 
+class CarvingSettings(Settings):
+    """Settings of `carving`."""
+
+    inside: int = Field(
+        2, ge=1, le=4, description="voxels inside, along the edge of one of the map's"
+    )
+
+
 class MappingSettings(Settings):
     """What every mapper needs, and a table for each mapper's own."""
 
@@ -43,6 +51,7 @@ class MappingSettings(Settings):
         76, ge=0, le=254, description="of 255; brighter pixels are echoes (Table 1)"
     )
     bayes: BayesSettings = BayesSettings()
+    carving: CarvingSettings = CarvingSettings()
 
     @model_validator(mode="before")
     @classmethod

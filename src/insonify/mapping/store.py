@@ -45,7 +45,9 @@ class MemoryStore:
 
     def __init__(self) -> None:
         """No blocks."""
-        self._slot_of: dict[int, int] = {}
+        self._count = 0
+        self._keys = np.zeros(0, np.int64)  # sorted, and the slot of each
+        self._slots = np.zeros(0, np.int64)
         self._coords = np.zeros((64, 3), np.int32)
         self._log_odds = np.zeros((64, VOXELS_PER_BLOCK), np.float32)
         self._seen = np.zeros((64, VOXELS_PER_BLOCK), np.uint8)
@@ -53,41 +55,52 @@ class MemoryStore:
     @property
     def coords(self) -> Int32:
         """Block indices (blocks, 3)."""
-        return self._coords[: len(self._slot_of)]
+        return self._coords[: self._count]
 
     @property
     def log_odds(self) -> Float32:
         """(blocks, 512), x outermost."""
-        return self._log_odds[: len(self._slot_of)]
+        return self._log_odds[: self._count]
 
     @property
     def seen(self) -> Array:
         """(blocks, 512) uint8."""
-        return self._seen[: len(self._slot_of)]
+        return self._seen[: self._count]
 
     def allocate(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3), making those that are new, all zeros."""
         slots = self.find(coords)
-        table, keys = self._slot_of, _keys(coords)
-        for row in np.flatnonzero(slots < 0):
-            slot = table.setdefault(int(keys[row]), len(table))
-            self._reserve(slot + 1)
-            self._coords[slot] = coords[row]
-            slots[row] = slot
+        new = np.flatnonzero(slots < 0)
+        if len(new) == 0:
+            return slots
+        keys, at, which = np.unique(_keys(coords[new]), return_index=True, return_inverse=True)
+        order = np.argsort(np.argsort(at))  # in the order in which they are asked for
+        made = self._count + order
+        slots[new] = made[which]
+        self._reserve(self._count + len(keys))
+        self._coords[made] = coords[new][at]
+        self._count += len(keys)
+        places = np.searchsorted(self._keys, keys)
+        self._keys = np.insert(self._keys, places, keys)
+        self._slots = np.insert(self._slots, places, made)
         return slots
 
     def find(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
-        table = self._slot_of
-        return np.array([table.get(key, -1) for key in _keys(coords).tolist()], np.int64)
+        keys = _keys(coords)
+        if self._count == 0:
+            return np.full(len(keys), -1, np.int64)
+        at = np.minimum(np.searchsorted(self._keys, keys), self._count - 1)
+        return np.where(self._keys[at] == keys, self._slots[at], -1)
 
     def _reserve(self, blocks: int) -> None:
         capacity = len(self._coords)
         if blocks <= capacity:
             return
+        grown = max(blocks, 2 * capacity)
         for name in ("_coords", "_log_odds", "_seen"):
             old = getattr(self, name)
-            new = np.zeros((2 * capacity, *old.shape[1:]), old.dtype)
+            new = np.zeros((grown, *old.shape[1:]), old.dtype)
             new[:capacity] = old
             setattr(self, name, new)
 

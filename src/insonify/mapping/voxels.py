@@ -1,7 +1,8 @@
 """A 3D occupancy map made of blocks of voxels, which grows where the vehicle goes.
 
-Each voxel holds its occupancy as log-odds (0 is p = 0.5) and two facts about its past: whether
-it has been inside a sonar's field of view, and whether any echo or silence spoke about it.  A
+Each voxel holds its occupancy as log-odds (0 is p = 0.5) and facts about its past: whether it has
+been inside a sonar's field of view, whether any echo or silence spoke about it, and, from mappers
+that tell, whether the surface of an object passes through it.  A
 voxel's indices are ``floor(position / voxel_m)`` in the world frame; a block is 8 x 8 x 8 voxels.
 """
 
@@ -26,16 +27,19 @@ __all__ = [
     "FARTHEST_BLOCK",
     "IN_VIEW",
     "OBSERVED",
+    "SURFACE",
     "VOXELS_PER_BLOCK",
     "VoxelMap",
     "VoxelWindow",
     "probability_from_log_odds",
+    "surface_of",
     "touching",
 ]
 
 FARTHEST_BLOCK = 1_000_000
 IN_VIEW = 1
 OBSERVED = 2
+SURFACE = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,13 +50,15 @@ class VoxelWindow:
         first: World index of voxel [0, 0, 0].
         voxel_m: Edge length.
         log_odds: (nx, ny, nz) float32; 0 where nothing is known.
-        seen: (nx, ny, nz) uint8, bits IN_VIEW and OBSERVED.
+        seen: (nx, ny, nz) uint8, bits IN_VIEW, OBSERVED and SURFACE.
+        marked: Whether the map tells surface from solid, by SURFACE.
     """
 
     first: tuple[int, int, int]
     voxel_m: float
     log_odds: Float32
     seen: np.ndarray
+    marked: bool = False
 
     @property
     def probability(self) -> Float32:
@@ -64,6 +70,14 @@ class VoxelWindow:
         """Voxels more likely occupied than not."""
         occupied: Bool = self.log_odds > 0.0
         return occupied
+
+    @property
+    def surface(self) -> Bool:
+        """Voxels that the surface of an object passes through.
+
+        See `surface_of`.
+        """
+        return surface_of(self.log_odds, self.seen, self.marked)
 
     def centres_m(self, mask: Bool) -> Float64:
         """World coordinates (N, 3) of the centres of the masked voxels, in x, y, z order."""
@@ -124,6 +138,16 @@ class VoxelMap:
         """IN_VIEW and OBSERVED bits of all voxels, (blocks, 512) uint8; a view."""
         return self._store.seen
 
+    @property
+    def marked(self) -> bool:
+        """Whether the mapper tells surface from solid."""
+        return bool((self.seen & SURFACE).any())
+
+    @property
+    def surface(self) -> Bool:
+        """Voxels that the surface of an object passes through, (blocks, 512); see `surface_of`."""
+        return surface_of(self.log_odds, self.seen, self.marked)
+
     def allocate(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3), making those that are new."""
         return self._store.allocate(coords)
@@ -169,7 +193,7 @@ class VoxelMap:
         if 0 not in shape:
             self._copy_blocks(low, high, log_odds, seen)
         first = (int(low[0]), int(low[1]), int(low[2]))
-        return VoxelWindow(first, self.voxel_m, log_odds, seen)
+        return VoxelWindow(first, self.voxel_m, log_odds, seen, self.marked)
 
     def _copy_blocks(
         self, low: np.ndarray, high: np.ndarray, log_odds: Float32, seen: np.ndarray
@@ -183,6 +207,16 @@ class VoxelMap:
             target = tuple(map(slice, start - low, stop - low))
             log_odds[target] = self.log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
             seen[target] = self.seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
+
+
+def surface_of(log_odds: Float32, seen: np.ndarray, marked: bool) -> Bool:
+    """Voxels that the surface of an object passes through, any shape.
+
+    Those that the mapper has marked; a mapper that marks none in all the map, as the papers' does,
+    makes no difference between surface and what is occupied.
+    """
+    surface: Bool = (seen & SURFACE) > 0 if marked else log_odds > 0.0
+    return surface
 
 
 def touching(coords: Int32, block_m: float, box: Box) -> Bool:

@@ -19,16 +19,15 @@ from insonify.errors import GeometryError, MemoryLimitError, RecordingError
 from insonify.io.recordings.recording import Recording, RecordingWarning
 from insonify.io.recordings.summary import describe_fan
 from insonify.mapping.echoes import noise_threshold
-from insonify.mapping.factory import make_mapper
+from insonify.mapping.factory import bytes_per_voxel, make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
-from insonify.mapping.voxels import BLOCK, BYTES_PER_VOXEL, FARTHEST_BLOCK, VOXELS_PER_BLOCK
+from insonify.mapping.voxels import BLOCK, FARTHEST_BLOCK, VOXELS_PER_BLOCK
 from insonify.mission.result import MapResult
 from insonify.planning.entropy import entropy_map
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing
 
 KEPT_PINGS = 6
 MOST_REGION_VOXELS = 150_000_000
-BYTES_PER_BLOCK = VOXELS_PER_BLOCK * BYTES_PER_VOXEL
 _ABOVE_WATER_M = 0.5
 """A vehicle that never comes lower is in doubt; at the surface it may well be less."""
 _FAR_M, _ORIGIN_STEP_M = 10_000.0, 1000.0
@@ -309,13 +308,14 @@ def _check_reach(remap: Remap, recording: Recording, pose: Pose) -> None:
 def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
     """Refuse what would not fit, before the next ping is mapped."""
     voxels, voxel_m = remap.mapper.voxels, remap.settings.voxel_m
-    needed = float(voxels.block_count * BYTES_PER_BLOCK * _GROWTH)
+    per_voxel = bytes_per_voxel(remap.mapper.name, remap.settings) * _GROWTH
+    needed = float(voxels.block_count * VOXELS_PER_BLOCK * per_voxel)
     if all(replace(fan, mount=geometry.mount) != geometry for fan in remap.fans):
         remap.fans.append(geometry)
         far, half = geometry.range_max_m, geometry.elevation_fov_rad / 2
         volume = geometry.azimuth_fov_rad * 2 * math.sin(half) * far**3 / 3
         shell = geometry.azimuth_fov_rad * far**2 * 2 * BLOCK * voxel_m  # of blocks half inside
-        needed += (volume + shell) / voxel_m**3 * BYTES_PER_VOXEL * _GROWTH
+        needed += (volume + shell) / voxel_m**3 * per_voxel
         needed += (2 * far / (BLOCK * voxel_m)) ** 3 / 4 * 12  # the blocks that are looked at
     if not memory.fits(needed):
         raise MemoryLimitError(

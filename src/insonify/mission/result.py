@@ -54,6 +54,9 @@ class ScanRow(Settings):
     time_s: float | None = None
     total_entropy_bits: float
     metrics: Metrics
+    ghosts: float | None = Field(
+        None, description="occupied voxels in open water, of the object's; older files do not tell"
+    )
 
 
 class FlightResult(Settings):

@@ -12,11 +12,12 @@ import numpy as np
 from insonify import memory
 from insonify.config.toml import config_to_toml
 from insonify.errors import ConfigError, GeometryError, MemoryLimitError
-from insonify.evaluation import GroundTruth, ground_truth, score_map, solids_of
+from insonify.evaluation import GroundTruth, ghosts, ground_truth, score_map, solids_of
 from insonify.frames import world_from_sonar
+from insonify.mapping.factory import bytes_per_voxel
 from insonify.mapping.fan import blocks_in_fan
 from insonify.mapping.mapper import Mapper, check_voxels
-from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
+from insonify.mapping.voxels import VoxelMap
 from insonify.mission.account import Account
 from insonify.mission.clock import Clock, timed
 from insonify.mission.loop import (
@@ -346,6 +347,9 @@ def _assess(run: Run) -> ScanRow:
         time_s=None if run.flight is None else run.flight.time_s,
         total_entropy_bits=round(float(entropy_map(window).sum(dtype=np.float64)), 3),
         metrics=score_map(run.mapper.voxels, run.truth),
+        ghosts=round(
+            ghosts(run.mapper.voxels, run.world.area.region, run.truth, run.world.scene), 6
+        ),
     )
 
 
@@ -374,7 +378,8 @@ def _check_memory(world: World) -> None:
             swept.allocate(blocks_in_fan(transform, geometry, swept.block_m))
     area_m3 = math.prod(world.area.region.size_m)
     swept_m3 = swept.block_count * swept.block_m**3
-    weight = swept_m3 * BYTES_PER_VOXEL * 3 + area_m3 * BYTES_PER_AREA_VOXEL
+    kept = bytes_per_voxel(world.config.mapper, world.config.mapping)
+    weight = swept_m3 * kept * 3 + area_m3 * BYTES_PER_AREA_VOXEL
     needed = weight / voxel_m**3
     if memory.fits(needed):
         return

@@ -62,7 +62,9 @@ class Config(Imaging):
     planner: str = Field(
         "entropy", description=", ".join(PLANNERS) + ", or your own: module:Name, file.py:Name"
     )
-    mapper: str = Field("bayes", description="bayes, or your own: module:Name or file.py:Name")
+    mapper: str = Field(
+        "bayes", description=", ".join(MAPPERS) + ", or your own: module:Name or file.py:Name"
+    )
     object: ObjectSettings = ObjectSettings()
     seabed: SeabedSettings = SeabedSettings()
     survey: SurveySettings = SurveySettings()

@@ -28,6 +28,7 @@ _NO_SCORES = {
     "scans",
     *AREAS.values(),
     "total_entropy_bits",
+    "ghosts",
     "stop_reason",
 }
 _OF_THE_VEHICLE = ("pose_error_", "true_poses_")
@@ -59,7 +60,7 @@ def curve_rows(key: str, config: Config, result: ScanResult) -> list[Table]:
     return [
         named
         | {"scan": row.scan, "pings": row.pings, "path_m": row.path_m, "time_s": row.time_s}
-        | {"total_entropy_bits": row.total_entropy_bits}
+        | {"total_entropy_bits": row.total_entropy_bits, "ghosts": row.ghosts}
         | dict(flat("", row.metrics))
         for row in result.history
     ]

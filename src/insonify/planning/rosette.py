@@ -7,7 +7,8 @@ pings, a rosette in most.  All follows from the region and the sonar, before the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -24,6 +25,8 @@ _FLOOR_M, _HEADROOM_M = 0.2, 0.5
 """How far a region's floor is above the seabed, and its top above the object."""
 _REACH, _HIGHEST, _LOW = 0.88, 0.405, 0.33
 """Of the sonar's range: the farthest that an object is looked at, and heights flown at."""
+_TALL = 0.4
+"""Of the sonar's range: from the top of so tall an object it does not hear the seabed."""
 _FINE = 400
 """Points of a lobe from which pings are chosen by distance."""
 
@@ -54,6 +57,8 @@ class Rosette:
         low_m: Height far from it, by turns of the lobes.
         region_m: Half sizes of the region, grown by what keeps the vehicle off it.
         over_m: Least height over the region, world frame.
+        storeys_m: Heights of the lobes between those over the top, of a region too tall for the
+            sonar to hear the seabed from there.
     """
 
     centre_m: tuple[float, float]
@@ -65,6 +70,12 @@ class Rosette:
     low_m: tuple[float, float]
     region_m: tuple[float, float]
     over_m: float
+    storeys_m: tuple[float, ...] = ()
+
+    def beyond_m(self, x_m: float, y_m: float) -> float:
+        """How far a place is outside the region, grown as `region_m` is."""
+        x, y = x_m - self.centre_m[0], y_m - self.centre_m[1]
+        return math.hypot(max(0.0, abs(x) - self.region_m[0]), max(0.0, abs(y) - self.region_m[1]))
 
     def pose(self, angle_rad: float, radius_m: float, low_m: float) -> Pose:
         """The pose at an angle of the stadium and a distance from its axis, facing the axis.
@@ -74,9 +85,7 @@ class Rosette:
         along = self.half_m * math.cos(angle_rad - self.axis_rad)
         x = along * math.cos(self.axis_rad) + radius_m * math.cos(angle_rad)
         y = along * math.sin(self.axis_rad) + radius_m * math.sin(angle_rad)
-        outside_m = math.hypot(
-            max(0.0, abs(x) - self.region_m[0]), max(0.0, abs(y) - self.region_m[1])
-        )
+        outside_m = self.beyond_m(self.centre_m[0] + x, self.centre_m[1] + y)
         z = self.top_m - (self.top_m - low_m) * min(1.0, outside_m / 2.0)
         if outside_m == 0.0:
             z = max(z, self.over_m)
@@ -109,12 +118,14 @@ def rosette_around(area: SurveyArea, geometry: FanGeometry, least_altitude_m: fl
     high_m = min(max(over_m - floor + 0.2, least_m), max(0.5, -0.5 - floor))  # in the water
     low_m = min(high_m, max(_LOW * geometry.range_max_m, least_m) - 0.8)
     height_m = max(top - _HEADROOM_M - floor, 0.1)
+    tall = False
     if geometry.tilt_rad > math.atan((high_m - height_m / 2) / reach_m):
         steepest_rad = min(geometry.tilt_rad + geometry.elevation_fov_rad / 2, 1.5)
         flat = math.tan(min(geometry.tilt_rad, 1.5))
         far_m = [min(breadth_m / 2 + h / flat, reach_m) for h in (high_m, low_m)]
         near_m = max(1.0, (high_m - height_m) / math.tan(steepest_rad) - breadth_m / 2)
         near_m = max(0.5, min(near_m, min(far_m) - 2.0))
+        tall = height_m > _TALL * geometry.range_max_m
     else:
         near_m = min(math.hypot(size_x, size_y) / 2 + 1.0, reach_m)
         far_m = [min(near_m + 3.0, reach_m)] * 2
@@ -130,7 +141,15 @@ def rosette_around(area: SurveyArea, geometry: FanGeometry, least_altitude_m: fl
         low_m=(floor + high_m, floor + low_m),
         region_m=(size_x / 2 + 0.6, size_y / 2 + 0.6),
         over_m=over_m,
+        storeys_m=_storeys(height_m, floor, high_m) if tall else (),
     )
+
+
+def _storeys(height_m: float, floor_m: float, high_m: float) -> tuple[float, ...]:
+    """Beside the object at half its height, over it by more than needs be, and beside it lower."""
+    most_m = max(floor_m + high_m, -0.5)
+    shares = (0.58 * height_m, high_m + 1.5, 0.43 * height_m)
+    return tuple(min(floor_m + max(share, 1.0), most_m) for share in shares)
 
 
 def lobe(rosette: Rosette, number: int, heading_rad: float) -> list[Pose]:
@@ -144,6 +163,9 @@ def lobe(rosette: Rosette, number: int, heading_rad: float) -> list[Pose]:
     turn, _ = divmod(number, _LOBES)
     start = heading_rad + math.pi + number * _LOBE_RAD + turn * _HALF_LOBE_RAD
     far, low = rosette.far_m[turn % 2], rosette.low_m[turn % 2]
+    if rosette.storeys_m and number % (len(rosette.storeys_m) + 1):
+        storey_m = rosette.storeys_m[number % (len(rosette.storeys_m) + 1) - 1]
+        return _at_height(rosette, start, far, storey_m)
     poses = []
     if turn and number % _LOBES == 0:  # on from where the last turn ended
         before, lower = rosette.far_m[1 - turn % 2], rosette.low_m[1 - turn % 2]
@@ -152,9 +174,29 @@ def lobe(rosette: Rosette, number: int, heading_rad: float) -> list[Pose]:
             poses.append(
                 rosette.pose(angle, before + t * (far - before), lower + t * (low - lower))
             )
+    for angle, radius in _out_and_in(start, rosette.near_m, far):
+        poses.append(rosette.pose(angle, radius, low))
+    return poses
+
+
+def _out_and_in(start_rad: float, near_m: float, far_m: float) -> Iterator[tuple[float, float]]:
+    """Angles and distances of a lobe."""
     for t in np.linspace(0.0, 1.0, _FINE).tolist():
-        radius = rosette.near_m + (far - rosette.near_m) * (1.0 + math.cos(math.tau * t)) / 2
-        poses.append(rosette.pose(start + _LOBE_RAD * t, radius, low))
+        yield (
+            start_rad + _LOBE_RAD * t,
+            near_m + (far_m - near_m) * (1.0 + math.cos(math.tau * t)) / 2,
+        )
+
+
+def _at_height(rosette: Rosette, start_rad: float, far_m: float, z_m: float) -> list[Pose]:
+    """A lobe at one height: over the region, or if that is too low for it, beside it."""
+    poses = []
+    for angle, radius in _out_and_in(start_rad, rosette.near_m, far_m):
+        pose = replace(rosette.pose(angle, radius, z_m), z_m=z_m)
+        while z_m < rosette.over_m and rosette.beyond_m(pose.x_m, pose.y_m) < 0.05:
+            radius += 0.05
+            pose = replace(rosette.pose(angle, radius, z_m), z_m=z_m)
+        poses.append(pose)
     return poses
 
 

@@ -86,7 +86,7 @@ def _places(voxels: VoxelMap, path: Path) -> Array:
         return _world(load_map(path))
     if path.suffix == ".ply":
         head, _, data = path.read_bytes().partition(b"end_header\n")
-        kinds = {"float": "<f4", "double": "<f8"}
+        kinds = {"float": "<f4", "double": "<f8", "uchar": "u1"}
         fields = [line.split()[1:] for line in head.decode().splitlines() if "property" in line]
         points = np.frombuffer(data, [(name, kinds[kind]) for kind, name in fields])
         return np.column_stack([points[axis].astype(np.float64) for axis in "xyz"])

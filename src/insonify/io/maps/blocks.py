@@ -15,6 +15,7 @@ from insonify.mapping.voxels import (
     FARTHEST_BLOCK,
     IN_VIEW,
     OBSERVED,
+    SURFACE,
     VOXELS_PER_BLOCK,
     VoxelMap,
     touching,
@@ -56,7 +57,8 @@ def map_from_blocks(
     if not (np.isfinite(log_odds).all() and 0.0 < voxel_m < np.inf):
         raise MapFileError(f"{path}: damaged, it holds numbers that are not finite")
     far = blocks and int(np.abs(coords.astype(np.int64)).max()) >= FARTHEST_BLOCK
-    if far or len(np.unique(coords, axis=0)) != blocks or (seen > (IN_VIEW | OBSERVED)).any():
+    known = IN_VIEW | OBSERVED | SURFACE
+    if far or len(np.unique(coords, axis=0)) != blocks or (seen > known).any():
         raise MapFileError(f"{path}: damaged, its blocks make no sense")
     if np.abs(log_odds).max(initial=0.0) > MOST_LOG_ODDS:
         raise MapFileError(f"{path}: damaged, it holds log-odds beyond {MOST_LOG_ODDS:g}")

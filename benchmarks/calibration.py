@@ -1,0 +1,137 @@
+"""Learns the table of `insonify.mapping.odds`, and says how well it holds on other objects.
+
+``python -m benchmarks.calibration`` scans the objects of `LEARNT` along the paths of several
+planners, with seeds that no other figure of the project uses, carves the pings, counts in each case
+how many voxels are the object's, and writes ``src/insonify/mapping/odds.json``.
+``python -m benchmarks.calibration --check`` leaves the table as it is.  Either way the reliability
+of its probabilities is then printed for the objects of `HELD_BACK`, which it was not learnt from.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+import insonify.mapping
+from insonify.config.settings import Table
+from insonify.evaluation import GroundTruth
+from insonify.mapping import carving
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.carving import CarvingMapper
+from insonify.mapping.odds import CASES
+from insonify.mapping.voxels import OBSERVED
+from insonify.mission.loop import Pinged, Step
+from insonify.mission.run import Run, execute
+from insonify.mission.setup import scenario_config
+from insonify.types import Array, Float64
+
+LEARNT = ("tetrapod", "pipe", "boxes", "tower")
+HELD_BACK = ("wreck", "arch", "amphorae", "trap")
+SEEDS = (100, 101, 102)
+PATHS: dict[str, Table] = {
+    "entropy": {"planner": "entropy"},
+    "uniform": {"planner": "uniform", "survey": {"baseline_scans": 4}},
+    "lawnmower": {"planner": "lawnmower-near", "survey": {"baseline_scans": 4}},
+    "rosette": {"planner": "rosette", "rosette": {"altitude_m": 5.2}},
+    "low rosette": {"planner": "rosette"},
+}
+"""Scans from few sides and from many, near and far."""
+_PRIOR, _PRIOR_SOLID, _PRIOR_SURFACE = 5e-4, 0.3, 0.2
+"""Of an object's voxels: what a case counts before anything is seen of it."""
+_TABLE = Path(insonify.mapping.__file__).parent / "odds.json"
+
+Cases = tuple[Array, GroundTruth]
+"""The row of the table of each voxel around an object, -1 where nothing was told; and the truth."""
+
+
+def carved(scenario: str, path: str, seed: int) -> Cases:
+    """Fly a scan, carve its pings, and look at the table's rows instead of what they hold."""
+    config = scenario_config(scenario, [PATHS[path], {"seed": seed}])
+    rows = np.column_stack([np.arange(CASES), np.zeros(CASES)]).astype(np.float32)
+    mapper = CarvingMapper(config.mapping)
+
+    def follow(run: Run, step: Step) -> None:
+        if isinstance(step, Pinged):
+            assert step.posed.pose is not None
+            mapper.integrate(step.posed.ping, step.posed.pose)
+
+    run = execute(config, mapper=BayesMapper(config.mapping), watch=follow)
+    with mock.patch.object(carving, "odds_table", lambda: rows):
+        window = mapper.voxels.window(run.truth.box)
+    told = (window.seen & OBSERVED) > 0
+    return np.where(told, window.log_odds, -1).astype(np.int64), run.truth
+
+
+def shares(scans: Iterable[Cases]) -> tuple[Float64, Float64]:
+    """Of each case the share of voxels that are an object's, and its surface's.
+
+    Every object counts as much as any other, whatever its size.
+    """
+    counts = np.zeros((3, CASES))
+    for cases, truth in scans:
+        told = truth.scored & (cases >= 0)
+        for number, part in enumerate((told, told & truth.solid, told & truth.surface)):
+            found = np.bincount(cases[part], minlength=CASES)
+            counts[number] += found / max(1, int(np.count_nonzero(truth.solid)))
+    total = counts[0] + _PRIOR
+    return (
+        (counts[1] + _PRIOR * _PRIOR_SOLID) / total,
+        (counts[2] + _PRIOR * _PRIOR_SURFACE) / total,
+    )
+
+
+def reliability(scans: Iterable[Cases], solid: Float64) -> Iterator[tuple[int, float, float]]:
+    """Of each tenth of probability: voxels, mean probability, and the share that is the object."""
+    expected, actual = [], []
+    for cases, truth in scans:
+        told = truth.scored & (cases >= 0)
+        expected.append(solid[cases[told]])
+        actual.append(truth.solid[told])
+    p, y = np.concatenate(expected), np.concatenate(actual)
+    tenth = np.minimum((p * 10).astype(int), 9)
+    for k in range(10):
+        inside = tenth == k
+        if inside.any():
+            yield int(inside.sum()), float(p[inside].mean()), float(y[inside].mean())
+
+
+def calibration_error(scans: Iterable[Cases], solid: Float64) -> float:
+    """Expected calibration error: the mean distance of the two, weighted by voxels."""
+    rows = list(reliability(scans, solid))
+    return sum(n * abs(p - y) for n, p, y in rows) / sum(n for n, _, _ in rows)
+
+
+def main() -> None:
+    """Learn, or check, and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="leave the table as it is")
+    parser.add_argument("--seeds", type=int, default=len(SEEDS), help="of each, at most 3")
+    options = parser.parse_args()
+    seeds = SEEDS[: options.seeds]
+    if not options.check:
+        scans = [carved(name, path, seed) for name in LEARNT for path in PATHS for seed in seeds]
+        solid, surface = (share.clip(0.001, 0.999).round(4) for share in shares(scans))
+        table = {"objects": LEARNT, "seeds": seeds, "paths": list(PATHS)}
+        lines = [f'  "{key}": {json.dumps(value)},' for key, value in table.items()]
+        lines += [f'  "solid": {json.dumps(solid.tolist())},']
+        lines += [f'  "surface": {json.dumps(surface.tolist())}']
+        _TABLE.write_text("{\n" + "\n".join(lines) + "\n}\n", encoding="utf-8")
+    solid = np.array(json.loads(_TABLE.read_text(encoding="utf-8"))["solid"])
+    everything: list[Cases] = []
+    for name in HELD_BACK:
+        scans = [carved(name, path, seeds[0]) for path in PATHS]
+        everything += scans
+        print(f"{name}: expected calibration error {calibration_error(scans, solid):.3f}")
+    print(f"held-back objects: {calibration_error(everything, solid):.3f}")
+    print("voxels, mean probability, share that is the object:")
+    for number, probability, share in reliability(everything, solid):
+        print(f"{number:9d}  {probability:.3f}  {share:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""Carving: a map by visibility, with the seabed.
+
+Where `bayes` counts echoes for the whole arc of a pixel, this mapper asks what can be seen: voxels
+are cut away by rays that are shown to have passed (`insonify.mapping.visibility`), and what is
+left over is the object.  Inside it works on voxels a part as large.  What is told of the map's own
+voxels is looked up in a table learned from objects whose shape is known
+(`insonify.mapping.odds`), so that its probabilities are calibrated.
+
+Nothing of it is from Park et al.; the Bayes update is `insonify.mapping.bayes`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from insonify.frames import world_from_sonar
+from insonify.mapping.bayes import BayesMapper
+from insonify.mapping.fan import blocks_in_fan, fan_vector
+from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.odds import Evidence, odds_table, read_off
+from insonify.mapping.seabed import SeabedHeights
+from insonify.mapping.sight import before_the_first_occupied
+from insonify.mapping.store import BLOCK, VOXELS_PER_BLOCK, MemoryStore
+from insonify.mapping.visibility import count_pixels, look, vote
+from insonify.mapping.voxels import VoxelMap
+from insonify.types import Array, Bool, FanGeometry, Float32, Float64, Int32, Int64, Ping, Pose
+
+_KNOWN_FREE = -1.5
+"""Log-odds below which a lit voxel does not stop a ray: two pings have shown it free."""
+_VOTES = np.array([-1.0, 0.1, -6.0, 6.0], np.float32)
+_ZONE_M = 0.1
+"""Rays end so far above the seabed."""
+_CERTAIN = 5.0
+"""Points near a place that make the seabed's height there good enough to judge shadows by."""
+_DOUBT_M = 0.15
+"""How much lower the seabed is taken to be where it is not."""
+_NOWHERE_M = -1e9
+_SPAN = 1 << 22
+"""More than the blocks across any map."""
+_APART = 1.0, 1.5
+"""Rays lie so many voxels apart at the end of the range: in elevation, and at most in azimuth."""
+
+
+class CarvingMapper:
+    """A mapper that cuts away what is shown to be free."""
+
+    name = "carving"
+
+    def __init__(self, settings: MappingSettings) -> None:
+        """An empty map."""
+        self.settings = settings
+        self._voxel_m = settings.voxel_m / settings.carving.inside
+        self._papers = BayesMapper(settings)
+        self._fine = MemoryStore()
+        self._seabed = SeabedHeights()
+        self._marks = np.zeros((3, 0, VOXELS_PER_BLOCK), np.uint8)
+        self._derived = _Derived(settings.carving.inside, self._fine, self._papers.voxels)
+        self.voxels = VoxelMap(settings.voxel_m, self._derived)
+
+    def integrate(self, ping: Ping, pose: Pose) -> None:
+        """Cut away what a ping shows to be free."""
+        self._papers.integrate(ping, pose)
+        geometry = ping.geometry
+        transform = world_from_sonar(pose, geometry.mount)
+        threshold = np.float32(self.settings.pixel_threshold / 255.0)
+        self._seabed.hear(ping.image, float(threshold), transform, geometry)
+        blocks = blocks_in_fan(transform, geometry, BLOCK * self._voxel_m)
+        slots = self._fine.allocate(blocks)
+        self._derived.touch(blocks, slots, _sides(transform, blocks, BLOCK * self._voxel_m))
+        if len(blocks) > self._marks.shape[1]:
+            self._marks = np.zeros((3, len(blocks) * 5 // 4, VOXELS_PER_BLOCK), np.uint8)
+        first = blocks.min(axis=0).astype(np.int64)
+        index = np.full(tuple(blocks.max(axis=0) + 1 - first), -1, np.int32)
+        index[tuple((blocks - first).T)] = np.arange(len(blocks))
+        look(
+            index,
+            first,
+            slots,
+            self._fine.log_odds,
+            self._fine.seen,
+            transform,
+            fan_vector(geometry),
+            _rays(geometry, self._voxel_m),
+            self._voxel_m,
+            count_pixels(ping.image, threshold),
+            self._seabed_under(first, index.shape),
+            _KNOWN_FREE,
+            self._marks,
+        )
+        vote(slots, self._fine.log_odds, self._fine.seen, self._marks, _VOTES)
+
+    def finish_scan(self) -> None:
+        """Nothing: every ping has been used when it came."""
+
+    def tells(self, poses: Sequence[Pose], geometry: FanGeometry, voxels_m: Float64) -> Float32:
+        """1 for a voxel before the first occupied one of its beam, else 0 (M_b of eq. 6)."""
+        return before_the_first_occupied(self.voxels, poses, geometry, voxels_m)
+
+    def save(self) -> dict[str, Array]:
+        """The voxels inside, the papers' map, and the seabed."""
+        papers = self._papers.voxels
+        return {
+            "inside": np.array(self.settings.carving.inside),
+            **_sorted("fine", self._fine, sides=self._derived.sides),
+            **_sorted("papers", papers),
+            **self._seabed.save(),
+        }
+
+    def load(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from what `save` gave."""
+        coords = np.asarray(arrays["fine_coords"], np.int32)
+        slots = self._fine.allocate(coords)
+        self._fine.log_odds[slots] = arrays["fine_log_odds"]
+        self._fine.seen[slots] = arrays["fine_seen"]
+        self._derived.touch(coords, slots, arrays["fine_sides"])
+        papers = self._papers.voxels
+        slots = papers.allocate(np.asarray(arrays["papers_coords"], np.int32))
+        papers.log_odds[slots], papers.seen[slots] = (
+            arrays["papers_log_odds"],
+            arrays["papers_seen"],
+        )
+        self._seabed.load(arrays)
+
+    def _seabed_under(self, first: Int64, shape: tuple[int, ...]) -> tuple[Float64, Bool, float]:
+        """The seabed under the columns of a box of blocks, as `look` takes it."""
+        block_m = BLOCK * self._voxel_m
+        x_m = (first[0] + np.arange(shape[0]) + 0.5) * block_m
+        y_m = (first[1] + np.arange(shape[1]) + 0.5) * block_m
+        known = self._seabed.heights(x_m, y_m)
+        if known is None:
+            return np.full(shape[:2], _NOWHERE_M), np.zeros(shape[:2], bool), _ZONE_M
+        heights, points = known
+        certain = points >= _CERTAIN
+        return np.where(certain, heights, heights - _DOUBT_M), certain, _ZONE_M
+
+
+def _sides(transform: Float64, blocks: Int32, block_m: float) -> Array:
+    """From which of eight sides a ping sees its blocks (N, 3): bits (N,)."""
+    away = (blocks[:, :2] + 0.5) * block_m - transform[:2, 3]
+    side = np.floor(np.arctan2(away[:, 1], away[:, 0]) * (4.0 / math.pi)).astype(np.int64) & 7
+    return (1 << side).astype(np.uint8)
+
+
+def _sorted(name: str, voxels: MemoryStore | VoxelMap, **more: Array) -> dict[str, Array]:
+    """A map's arrays, blocks in ascending order."""
+    order = np.lexsort(voxels.coords.T[::-1])
+    arrays = {"coords": voxels.coords, "log_odds": voxels.log_odds, "seen": voxels.seen, **more}
+    return {f"{name}_{key}": array[order] for key, array in arrays.items()}
+
+
+def _rays(geometry: FanGeometry, voxel_m: float) -> tuple[Float64, Float64]:
+    """Azimuths and elevations of rays that leave out no voxel, beam by beam."""
+    up, aside = (apart * voxel_m / geometry.range_max_m for apart in _APART)
+    each = math.ceil(geometry.beam_rad / aside)
+    azimuths = _even(geometry.azimuth_fov_rad, geometry.beams * each)[::-1]
+    return np.ascontiguousarray(azimuths), _even(
+        geometry.elevation_fov_rad, max(2, math.ceil(geometry.elevation_fov_rad / up))
+    )
+
+
+def _even(extent: float, count: int) -> Float64:
+    """Middles of ``count`` equal parts of an extent around 0."""
+    return ((np.arange(count) + 0.5) / count - 0.5) * extent
+
+
+class _Derived:
+    """The map's own voxels, read off those inside when they are asked for (a `BlockStore`)."""
+
+    def __init__(self, inside: int, fine: MemoryStore, papers: VoxelMap) -> None:
+        self._inside, self._fine, self._papers = inside, fine, papers
+        self.sides = np.zeros(0, np.uint8)
+        self._store = MemoryStore()
+        self._touched: list[Int64] = []
+
+    def touch(self, blocks: Int32, slots: Int64, sides: Array) -> None:
+        """Note that blocks (N, 3) inside, at their slots, have changed, seen from these sides."""
+        count = len(self._fine.coords)
+        if count > len(self.sides):
+            grown = np.zeros(count * 5 // 4, np.uint8)
+            grown[: len(self.sides)] = self.sides
+            self.sides = grown
+        self.sides[slots] |= sides
+        self._store.allocate(blocks // self._inside)
+        columns = (blocks[:, :2] // self._inside).astype(np.int64)
+        self._touched.append(np.unique(columns[:, 0] * _SPAN + columns[:, 1]))
+
+    @property
+    def coords(self) -> Int32:
+        """Block indices (blocks, 3)."""
+        return self._store.coords
+
+    @property
+    def log_odds(self) -> Float32:
+        """(blocks, 512), x outermost."""
+        return self._fresh().log_odds
+
+    @property
+    def seen(self) -> Array:
+        """(blocks, 512) uint8."""
+        return self._fresh().seen
+
+    def allocate(self, coords: Int32) -> Int64:
+        """Refused: these voxels are read off others."""
+        raise TypeError("the voxels of a carved map are read off those inside it")
+
+    def find(self, coords: Int32) -> Int64:
+        """Slots of blocks (N, 3); -1 for blocks that do not exist."""
+        return self._store.find(coords)
+
+    def _fresh(self) -> MemoryStore:
+        """The map with all that has changed read off anew."""
+        if self._touched:
+            keys = np.unique(np.concatenate(self._touched))
+            self._touched = []
+            around = np.add.outer(np.array([-1, 0, 1]) * _SPAN, np.array([-1, 0, 1])).ravel()
+            keys = np.unique(np.add.outer(keys, around))
+            y = (keys + _SPAN // 2) % _SPAN - _SPAN // 2
+            columns = np.column_stack([(keys - y) // _SPAN, y]).astype(np.int32)
+            evidence = Evidence(self._inside, self._fine, self.sides, self._papers)
+            read_off(evidence, self._store, columns, odds_table())
+        return self._store
