@@ -19,7 +19,7 @@ import numpy as np
 
 import insonify.mapping
 from insonify.config.settings import Table
-from insonify.evaluation import GroundTruth
+from insonify.evaluation import GroundTruth, in_open_water
 from insonify.mapping import carving
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.carving import CarvingMapper
@@ -45,8 +45,18 @@ _PRIOR, _PRIOR_SOLID, _PRIOR_SURFACE = 5e-4, 0.3, 0.2
 """Of an object's voxels: what a case counts before anything is seen of it."""
 _TABLE = Path(insonify.mapping.__file__).parent / "odds.json"
 
-Cases = tuple[Array, GroundTruth]
-"""The row of the table of each voxel around an object, -1 where nothing was told; and the truth."""
+_WATER = 0.1
+"""How much a voxel of the water around an object counts.
+
+A designated area has about ten times the voxels of the object's box: so both count alike.
+"""
+
+Cases = tuple[Array, GroundTruth, Array]
+"""What a scan makes of the table's rows.
+
+The row of each voxel of an object's box, -1 where nothing was told; the truth; and how many voxels
+of the water in the designated area around it are of each row.
+"""
 
 
 def carved(scenario: str, path: str, seed: int) -> Cases:
@@ -63,8 +73,13 @@ def carved(scenario: str, path: str, seed: int) -> Cases:
     run = execute(config, mapper=BayesMapper(config.mapping), watch=follow)
     with mock.patch.object(carving, "odds_table", lambda: rows):
         window = mapper.voxels.window(run.truth.box)
+        area = mapper.voxels.window(run.world.area.region)
     told = (window.seen & OBSERVED) > 0
-    return np.where(told, window.log_odds, -1).astype(np.int64), run.truth
+    cases = np.where(told, window.log_odds, -1).astype(np.int64)
+    told = (area.seen & OBSERVED) > 0
+    water = in_open_water(area.centres_m(told), config.mapping.voxel_m, run.truth, run.world.scene)
+    found = area.log_odds[told][water].astype(np.int64)
+    return cases, run.truth, np.bincount(found, minlength=CASES)
 
 
 def shares(scans: Iterable[Cases]) -> tuple[Float64, Float64]:
@@ -73,11 +88,12 @@ def shares(scans: Iterable[Cases]) -> tuple[Float64, Float64]:
     Every object counts as much as any other, whatever its size.
     """
     counts = np.zeros((3, CASES))
-    for cases, truth in scans:
+    for cases, truth, water in scans:
         told = truth.scored & (cases >= 0)
+        size = max(1, int(np.count_nonzero(truth.solid)))
         for number, part in enumerate((told, told & truth.solid, told & truth.surface)):
-            found = np.bincount(cases[part], minlength=CASES)
-            counts[number] += found / max(1, int(np.count_nonzero(truth.solid)))
+            counts[number] += np.bincount(cases[part], minlength=CASES) / size
+        counts[0] += _WATER * water / size
     total = counts[0] + _PRIOR
     return (
         (counts[1] + _PRIOR * _PRIOR_SOLID) / total,
@@ -88,7 +104,7 @@ def shares(scans: Iterable[Cases]) -> tuple[Float64, Float64]:
 def reliability(scans: Iterable[Cases], solid: Float64) -> Iterator[tuple[int, float, float]]:
     """Of each tenth of probability: voxels, mean probability, and the share that is the object."""
     expected, actual = [], []
-    for cases, truth in scans:
+    for cases, truth, _ in scans:
         told = truth.scored & (cases >= 0)
         expected.append(solid[cases[told]])
         actual.append(truth.solid[told])

@@ -166,12 +166,17 @@ def ghosts(voxels: VoxelMap, region: Box, truth: GroundTruth, scene: Scene) -> f
     """
     window = voxels.window(region)
     centres = window.centres_m(window.occupied)
-    outside = ((centres < truth.box.low_m) | (centres > truth.box.high_m)).any(axis=1)
-    water = outside
-    if scene.seabed is not None:
-        floor = scene.seabed.height_at(centres[:, 0], centres[:, 1])
-        water = outside & (centres[:, 2] - 1.5 * voxels.voxel_m >= floor)
+    water = in_open_water(centres, voxels.voxel_m, truth, scene)
     return int(np.count_nonzero(water)) / max(1, int(np.count_nonzero(truth.solid & truth.scored)))
+
+
+def in_open_water(centres_m: Float64, voxel_m: float, truth: GroundTruth, scene: Scene) -> Bool:
+    """Which voxels (N, 3) lie outside the truth's box, and above the seabed by one voxel."""
+    outside = ((centres_m < truth.box.low_m) | (centres_m > truth.box.high_m)).any(axis=1)
+    if scene.seabed is None:
+        return np.asarray(outside, bool)
+    floor = scene.seabed.height_at(centres_m[:, 0], centres_m[:, 1])
+    return np.asarray(outside & (centres_m[:, 2] - 1.5 * voxel_m >= floor), bool)
 
 
 def compare_voxels(reconstructed: Bool, actual: Bool, tolerance: int = 0) -> Scores:

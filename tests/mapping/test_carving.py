@@ -10,11 +10,12 @@ import numba
 import numpy as np
 import pytest
 
+from insonify.errors import ConfigError, MemoryLimitError
 from insonify.evaluation import score_map
 from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.carving import CarvingMapper
-from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.mapper import CarvingSettings, MappingSettings
 from insonify.mapping.odds import CASES, case_of, odds_table
 from insonify.mapping.seabed import SeabedHeights
 from insonify.mapping.visibility import DARK, LIT, count_pixels, look
@@ -103,6 +104,24 @@ def test_it_goes_on_from_what_it_saved(arch: tuple[Run, list[PosedPing]]) -> Non
     carve(heard[25:40], again)
     for name, array in whole.save().items():
         assert np.array_equal(array, again.save()[name]), name
+
+
+def test_it_does_not_go_on_with_other_voxels_inside(arch: tuple[Run, list[PosedPing]]) -> None:
+    saved = carve(arch[1][:2]).save()
+    other = CarvingMapper(MappingSettings(carving=CarvingSettings(inside=3)))
+    with pytest.raises(ConfigError, match=r"inside is 3.*has 2"):
+        other.load(saved)
+
+
+@pytest.mark.parametrize("inside", [1, 3])
+def test_any_number_of_voxels_inside_makes_a_map(
+    arch: tuple[Run, list[PosedPing]], inside: int
+) -> None:
+    run, heard = arch
+    mapper = CarvingMapper(MappingSettings(carving=CarvingSettings(inside=inside)))
+    carve(heard[:60], mapper)
+    scores = score_map(mapper.voxels, run.truth)
+    assert scores["solid"]["exact"]["f1"] > 0.6
 
 
 def test_the_map_is_up_to_date_after_every_ping(arch: tuple[Run, list[PosedPing]]) -> None:
@@ -243,20 +262,21 @@ def test_pixels_that_are_not_known_free_nothing_behind_them() -> None:
 
 def test_the_table_has_a_row_for_every_case_and_says_what_it_was_learnt_from() -> None:
     cases = {
-        case_of(free / 8, near, covered, sides, occupied)
+        case_of(free / 8, near, covered, sides, occupied, beside)
         for free in range(9)
         for near in np.linspace(0, 1, 28)
         for covered in np.linspace(0, 1, 9)
         for sides in range(9)
         for occupied in (False, True)
+        for beside in (False, True)
     }
     assert cases == set(range(CASES))
     table = json.loads(resources.files("insonify.mapping").joinpath("odds.json").read_text())
     assert len(table["solid"]) == len(table["surface"]) == len(odds_table()) == CASES
     assert not {"wreck", "arch", "amphorae", "trap"} & set(table["objects"])
     assert not set(range(100)) & set(table["seeds"])
-    free = case_of(1.0, 1.0, 0.0, 8, False)
-    inside = case_of(0.0, 0.0, 1.0, 8, True)
+    free = case_of(1.0, 1.0, 0.0, 8, False, False)
+    inside = case_of(0.0, 0.0, 1.0, 8, True, True)
     assert odds_table()[free, 0] < -3 < 2 < odds_table()[inside, 0]
 
 
@@ -274,8 +294,6 @@ def test_it_needs_no_seabed_and_takes_one_beam() -> None:
 
 
 def test_memory_is_asked_for_before_a_map_is_made() -> None:
-    from insonify.errors import MemoryLimitError
-
     config = scenario_config("tetrapod", [{"mapper": "carving", "mapping": {"voxel_m": 0.002}}])
     with pytest.raises(MemoryLimitError, match="voxel"):
         execute(config)

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from insonify.errors import ConfigError
 from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.fan import blocks_in_fan, fan_vector
@@ -110,7 +111,17 @@ class CarvingMapper:
         }
 
     def load(self, arrays: Mapping[str, Array]) -> None:
-        """Go on from what `save` gave."""
+        """Go on from what `save` gave.
+
+        Raises:
+            ConfigError: It had other voxels inside.
+        """
+        inside = self.settings.carving.inside
+        if int(arrays["inside"]) != inside:
+            raise ConfigError(
+                f"mapping.carving.inside is {inside}, and the map to go on with has "
+                f"{int(arrays['inside'])}; give it the same"
+            )
         coords = np.asarray(arrays["fine_coords"], np.int32)
         slots = self._fine.allocate(coords)
         self._fine.log_odds[slots] = arrays["fine_log_odds"]

@@ -1,8 +1,9 @@
 """From voxels inside to those of the map: how likely each is part of an object, by a table.
 
 A voxel of the map holds several inside.  What counts is how many of them are free, how many are
-around it, how many lie, without free ones between, at or below one that was lit, from how many
-sides it was looked at, and whether the papers' update holds it for occupied.  For each such case
+around it, how many lie, without free ones between, at or below one that was lit, and whether any
+around it do, from how many sides it was looked at, and whether the papers' update holds it for
+occupied.  For each such case
 the table says in which share of all voxels, over objects whose shape is known, the voxel belongs
 to the object, and in which to its surface.  So where few sides were seen, and rays cut away too
 little or too much, the papers' update has its say.  `benchmarks.calibration` learns the table.
@@ -26,7 +27,7 @@ from insonify.types import Array, Float32, Int32, Int64
 
 FREE = -0.9
 """A voxel inside is free below these log-odds: one ray has passed it."""
-_CLASSES = (9, 6, 3, 3, 2)
+_CLASSES = (9, 6, 3, 3, 2, 2)
 """Of each of these, in this order."""
 CASES = math.prod(_CLASSES)
 _NEAR_EDGES = (0.5 / 8, 2.0 / 8, 3.5 / 8, 5.0 / 8, 6.5 / 8)
@@ -106,7 +107,9 @@ def _ones(bits: int) -> int:
 
 
 @kernel
-def case_of(free: float, near: float, covered: float, sides: int, occupied: bool) -> int:
+def case_of(
+    free: float, near: float, covered: float, sides: int, occupied: bool, beside: bool
+) -> int:
     """Row of the table.
 
     Args:
@@ -115,6 +118,7 @@ def case_of(free: float, near: float, covered: float, sides: int, occupied: bool
         covered: Share that is not free and lies at or below a lit one.
         sides: From how many of eight sides it was in view.
         occupied: Whether the papers' update holds it for occupied.
+        beside: Whether any of the 27 around it has such a share.
     """
     case = round(free * 8)
     level = 0
@@ -126,7 +130,7 @@ def case_of(free: float, near: float, covered: float, sides: int, occupied: bool
         level += covered > edge
     case = case * 3 + level
     case = case * 3 + (sides >= 4) + (sides >= 7)
-    return case * 2 + occupied
+    return (case * 2 + occupied) * 2 + beside
 
 
 @parallel_kernel
@@ -146,7 +150,7 @@ def _read_columns(
     for place in prange(len(places)):
         x, y = places[place]
         free = np.zeros((BLOCK + 2, BLOCK + 2, height + 2), np.float32)
-        covered = np.zeros((BLOCK, BLOCK, height), np.float32)
+        covered = np.zeros((BLOCK + 2, BLOCK + 2, height + 2), np.float32)
         bits = np.zeros((BLOCK, BLOCK, height), np.uint8)
         _gather(x, y, index, log_odds, seen, inside, free, covered, bits)
         for bz in range(slots.shape[3]):
@@ -155,22 +159,23 @@ def _read_columns(
                 continue
             for k in range(VOXELS_PER_BLOCK):
                 i, j, z = k >> 6, (k >> 3) & 7, bz * BLOCK + (k & 7)
-                under = covered[i, j, z]
+                under = covered[i + 1, j + 1, z + 1]
                 known = papers[1][theirs, k] if theirs >= 0 else 0
                 if not (bits[i, j, z] & LOOKED_AT or under > 0.0 or known & OBSERVED):
                     out[0][slot, k], out[1][slot, k] = 0.0, known & IN_VIEW
                     continue
-                near = np.float32(0.0)
+                near, beside = np.float32(0.0), False
                 for a in range(3):
                     for b in range(3):
                         for c in range(3):
                             near += free[i + a, j + b, z + c]
+                            beside |= covered[i + a, j + b, z + c] > 0.0
                 bx, by = (x * BLOCK + i) * inside >> 3, (y * BLOCK + j) * inside >> 3
                 block = index[bx, by, z * inside >> 3]
                 around = _ones(sides[block]) if block >= 0 else 0
                 occupied = theirs >= 0 and papers[0][theirs, k] > 0.0
                 share = float(near) / 27.0
-                case = case_of(free[i + 1, j + 1, z + 1], share, under, around, occupied)
+                case = case_of(free[i + 1, j + 1, z + 1], share, under, around, occupied, beside)
                 out[0][slot, k] = table[case, 0]
                 out[1][slot, k] = known | OBSERVED | (SURFACE if table[case, 1] > 0.0 else 0)
 
@@ -210,10 +215,9 @@ def _gather(
                     if is_free:
                         free[i + 1, j + 1, z + 1] += share
                         under = False
-                    if rim:
-                        continue
                     here = seen[slot, voxel]
                     under = under or (here & EVER_LIT > 0 and not is_free)
                     if under:
-                        covered[i, j, z] += share
-                    bits[i, j, z] |= here
+                        covered[i + 1, j + 1, z + 1] += share
+                    if not rim:
+                        bits[i, j, z] |= here
