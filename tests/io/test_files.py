@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from insonify.errors import MapFileError, OutputError
 from insonify.io.folders import result_folder, unused_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
-from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
+from insonify.mapping.voxels import IN_VIEW, OBSERVED, SURFACE, VoxelMap
 from insonify.types import Box
 
 EVERYWHERE = Box((-1e3, -1e3, -1e3), (1e3, 1e3, 1e3))
@@ -61,11 +61,24 @@ def test_point_cloud_reads_in_another_library(tmp_path: Path) -> None:
     raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
     kept = (voxels.seen > 0) & ((voxels.log_odds > 0) | (np.abs(voxels.log_odds) < 0.23))
     assert abs(len(raw) - kept.sum()) < 0.01 * kept.sum()
-    assert set(raw.dtype.names) == {"x", "y", "z", "probability", "entropy"}
+    assert set(raw.dtype.names) == {"x", "y", "z", "probability", "entropy", "surface"}
     p = raw["probability"].astype(float)
     expected = -(p * np.log2(p) + (1 - p) * np.log2(1 - p))
     np.testing.assert_allclose(raw["entropy"], expected, atol=1e-5)
     assert ((p > 0.5) | (raw["entropy"] >= 0.99)).all()
+    np.testing.assert_array_equal(raw["surface"], p > 0.5)  # the map tells no difference
+
+
+def test_a_map_that_tells_surface_from_solid_tells_it_in_files_too(tmp_path: Path) -> None:
+    voxels = _random_map(1)
+    marked = np.random.default_rng(4).random(voxels.seen.shape) < 0.01
+    voxels.seen[marked] |= SURFACE
+    assert np.array_equal(voxels.surface, marked)
+    save_map(voxels, tmp_path / "m.npz")
+    assert load_map(tmp_path / "m.npz").surface.sum() == marked.sum()
+    save_point_cloud(voxels, tmp_path / "m.ply", 1.0, EVERYWHERE)
+    raw = trimesh.load(tmp_path / "m.ply").metadata["_ply_raw"]["vertex"]["data"]
+    assert raw["surface"].sum() == (marked & (voxels.seen > 0)).sum()
 
 
 def test_damaged_maps_are_named(tmp_path: Path) -> None:

@@ -3,10 +3,10 @@
 A voxel of the map holds several inside.  What counts is how many of them are free, how many are
 around it, how many lie, without free ones between, at or below one that was lit, and whether any
 around it do, from how many sides it was looked at, and whether the papers' update holds it for
-occupied.  For each such case
-the table says in which share of all voxels, over objects whose shape is known, the voxel belongs
-to the object, and in which to its surface.  So where few sides were seen, and rays cut away too
-little or too much, the papers' update has its say.  `benchmarks.calibration` learns the table.
+occupied.  For each such case the table says in which share of all voxels, over objects whose shape
+is known, the voxel belongs to the object, and in which to its surface.  So where few sides were
+seen, and rays cut away too little or too much, the papers' update has its say.
+`benchmarks.calibration` learns the table.
 """
 
 from __future__ import annotations

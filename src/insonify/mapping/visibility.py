@@ -110,7 +110,7 @@ def look(
             floors[x, y] = math.ceil(top_m / voxel_m - 0.5) - first[2] * BLOCK
     parts = (len(azimuths) + _RAYS - 1) // _RAYS
     for part in prange(parts):
-        met = np.empty((len(elevations), longest), np.int32)
+        met = np.empty((len(elevations), longest), np.int64)
         cells = np.empty((len(elevations), longest), np.int32)
         steps = np.zeros(len(elevations), np.int64)
         meets = np.empty(len(elevations), np.int64)
@@ -135,7 +135,7 @@ def look(
 
 
 @kernel
-def _throw(met: Int32, cells: Int32, count: int, marks: Array, rivals: Array) -> None:
+def _throw(met: Int64, cells: Int32, count: int, marks: Array, rivals: Array) -> None:
     """Mark what may throw the shadow in which a ray meets the seabed."""
     for s in range(count):
         if met[s] & _SHADES:
@@ -144,7 +144,7 @@ def _throw(met: Int32, cells: Int32, count: int, marks: Array, rivals: Array) ->
 
 
 @kernel
-def _mark(met: Int32, count: int, through: bool, marks: Array) -> None:
+def _mark(met: Int64, count: int, through: bool, marks: Array) -> None:
     """Mark what a ray shows, up to the first voxel that stops it."""
     for s in range(count):
         block, voxel = met[s] >> 13, (met[s] >> 4) & 511
@@ -188,7 +188,7 @@ def _walk(
     certain: Bool,
     floors: Int64,
     known_free: float,
-    met: Int32,
+    met: Int64,
     cells: Int32,
     rivals: Array,
     marks: Array,
@@ -248,7 +248,7 @@ def _walk(
                 if seen[slot, voxel] & THROWS_SHADOW and kind & _SHADES:
                     for c in range(cell, last + 1):
                         rivals[c] = 1
-            met[count] = (((row << 9) | voxel) << 4) | kind
+            met[count] = (((np.int64(row) << 9) | voxel) << 4) | kind
             count += 1
         entry, cell = leave, last
         # without branches, which a processor could not foresee
