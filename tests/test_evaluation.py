@@ -10,6 +10,7 @@ from sklearn.metrics import fbeta_score, precision_score, recall_score
 from insonify.evaluation import (
     compare_voxels,
     f_score,
+    ghosts,
     ground_truth,
     score_map,
     voxelise_surface,
@@ -20,6 +21,7 @@ from insonify.scene import Body, Material, Scene
 from insonify.scene.meshes import place_mesh
 from insonify.scene.objects import tetrapod
 from insonify.scene.seabed import Seabed
+from insonify.types import Box
 
 
 @settings(max_examples=50, deadline=None)
@@ -110,3 +112,28 @@ def test_a_perfect_map_scores_one_and_an_empty_map_nothing() -> None:
     assert set(scores["solid"]["exact"].values()) == {1.0}
     assert scores["surface"]["exact"]["recall"] == 1.0
     assert scores["surface"]["exact"]["precision"] < 1.0
+
+
+def test_ghosts_are_what_is_occupied_in_open_water_alone() -> None:
+    placed = place_mesh(tetrapod(), 0.0, 0.0, -20.0, np.eye(3))
+    level = Seabed(np.full((40, 40), -20.0), 1.0, (-20.0, -20.0))
+    body = Body("tetrapod", placed, Material("concrete"))
+    scene = Scene((body,), level)
+    truth = ground_truth(scene, body, 0.1)
+    voxels = VoxelMap(0.1)
+    region = Box((-6.0, -6.0, -21.0), (6.0, 6.0, -15.0))
+
+    def occupy(*places_m: tuple[float, float, float]) -> None:
+        for place in places_m:
+            index = np.floor(np.array(place) / 0.1).astype(int)
+            [slot] = voxels.allocate((index // 8)[None].astype(np.int32))
+            x, y, z = index % 8
+            voxels.log_odds[slot, x * 64 + y * 8 + z] = 1.0
+
+    occupy((0.05, 0.05, -19.0))  # in the object's box
+    occupy((5.05, 0.05, -20.05), (5.05, 0.05, -19.95))  # seabed, and the voxel over it
+    occupy((9.05, 0.05, -18.0))  # outside the region
+    assert ghosts(voxels.window(region), truth, scene) == 0.0
+    occupy((5.05, 0.05, -19.75), (-5.05, 3.05, -16.0))
+    share = 2 / np.count_nonzero(truth.solid & truth.scored)
+    assert ghosts(voxels.window(region), truth, scene) == pytest.approx(share)

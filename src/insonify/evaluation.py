@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from insonify.jit import kernel
-from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.voxels import VoxelMap, VoxelWindow
 from insonify.scene import Body, Scene
 from insonify.types import Array, Bool, Box, Float64, Int32
 
@@ -158,15 +158,14 @@ def score_map(voxels: VoxelMap, truth: GroundTruth) -> dict[str, dict[str, dict[
     }
 
 
-def ghosts(voxels: VoxelMap, region: Box, truth: GroundTruth, scene: Scene) -> float:
+def ghosts(window: VoxelWindow, truth: GroundTruth, scene: Scene) -> float:
     """Voxels that a map holds for occupied where there is only water, as a share of the object's.
 
-    Those within a region but outside the truth's box, at least a voxel above the seabed: scores
+    Those of a region that are outside the truth's box, at least a voxel above the seabed: scores
     over the object's box do not see them.
     """
-    window = voxels.window(region)
     centres = window.centres_m(window.occupied)
-    water = in_open_water(centres, voxels.voxel_m, truth, scene)
+    water = in_open_water(centres, window.voxel_m, truth, scene)
     return int(np.count_nonzero(water)) / max(1, int(np.count_nonzero(truth.solid & truth.scored)))
 
 

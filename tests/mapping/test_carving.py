@@ -222,6 +222,34 @@ def test_the_seabed_is_found_from_pings_alone(scenario: str) -> None:
     assert np.std(known[0] - truth) < 0.06
 
 
+def test_a_seabed_is_learnt_after_going_on_from_a_save_of_none() -> None:
+    run, heard = flown("tetrapod", 12)
+    empty = SeabedHeights().save()
+    fresh, again = SeabedHeights(), SeabedHeights()
+    again.load(empty)
+    for seabed in (fresh, again):
+        for posed in heard:
+            assert posed.pose is not None
+            transform = world_from_sonar(posed.pose, posed.ping.geometry.mount)
+            seabed.hear(posed.ping.image, 0.3, transform, posed.ping.geometry)
+    for name, array in fresh.save().items():
+        assert np.array_equal(array, again.save()[name]), name
+    assert run.pings == 12
+
+
+def test_points_of_a_sonar_at_rest_are_counted_without_end() -> None:
+    ping, geometry = np.zeros((40, 8), np.float32), _small()
+    ping[30:] = 1.0
+    seabed = SeabedHeights()
+    transform = world_from_sonar(Pose(0, 0, 0), geometry.mount)
+    seabed.hear(ping, 0.5, transform, geometry)
+    full = {name: array.copy() for name, array in seabed.save().items()}
+    full["seabed_counts"] *= 60_000
+    seabed.load(full)
+    seabed.hear(ping, 0.5, transform, geometry)
+    assert seabed.save()["seabed_counts"].sum() == full["seabed_counts"].sum() + geometry.beams
+
+
 def test_there_is_no_seabed_where_none_is_heard() -> None:
     geometry = _small()
     up = FanGeometry(0.4, 0.3, 8, 40, 0.0, 2.0, Pose(0, 0, 0, pitch_rad=-0.6))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insonify.cli.progress import progress
+from insonify.cli.progress import Bar, progress
 from insonify.cli.root import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -61,19 +62,13 @@ def campaign(
         interruptible(ending, signal.SIGINT, signal.SIGTERM) as interrupted,
         progress("runs") as bar,
     ):
-
-        def watch(done: int, failed: int, planned: int) -> None:
-            bar.show(
-                done, planned, note=f"{done} of {planned}" + f", {failed} failed" * (failed > 0)
-            )
-
         try:
             result = run_campaign(
                 what,
                 folder,
                 workers=workers or all_cores(),
                 scheduler=scheduler,
-                watch=watch,
+                watch=partial(_show, bar),
                 should_stop=interrupted,
             )
         except Interrupted:
@@ -84,6 +79,10 @@ def campaign(
         _print_summary(list(result.table))
     print_report(folder)
     _end(result, folder, interrupted())
+
+
+def _show(bar: Bar, done: int, failed: int, planned: int) -> None:
+    bar.show(done, planned, note=f"{done} of {planned}" + f", {failed} failed" * (failed > 0))
 
 
 def _end(result: CampaignResult, folder: Path, interrupted: bool) -> None:

@@ -83,6 +83,10 @@ def dataset(
         )
     if result is None:
         raise typer.Exit(EXIT_INTERRUPTED)
+    _tell(result, target, as_json)
+
+
+def _tell(result: DatasetResult, target: Path, as_json: bool) -> None:
     if as_json:
         print(json.dumps(result.to_json(), indent=2))
     else:

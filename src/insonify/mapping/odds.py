@@ -41,7 +41,7 @@ _TABLE = "odds.json"
 def odds_table() -> Float32:
     """(CASES, 2): log-odds of being part of an object; 1 where it counts as surface, else 0."""
     table = json.loads(resources.files("insonify.mapping").joinpath(_TABLE).read_text("utf-8"))
-    solid, surface = np.array(table["solid"]), np.array(table["surface"])
+    solid, surface = (np.reshape(table[name], CASES) for name in ("solid", "surface"))
     odds = np.log(solid / (1.0 - solid))
     return np.column_stack([odds, surface >= _SURFACE_SHARE]).astype(np.float32)
 
@@ -120,17 +120,17 @@ def case_of(
         occupied: Whether the papers' update holds it for occupied.
         beside: Whether any of the 27 around it has such a share.
     """
-    case = round(free * 8)
+    case = round(free * (_CLASSES[0] - 1))
     level = 0
     for edge in _NEAR_EDGES:
         level += near > edge
-    case = case * 6 + level
+    case = case * _CLASSES[1] + level
     level = 0
     for edge in _COVERED_EDGES:
         level += covered > edge
-    case = case * 3 + level
-    case = case * 3 + (sides >= 4) + (sides >= 7)
-    return (case * 2 + occupied) * 2 + beside
+    case = case * _CLASSES[2] + level
+    case = case * _CLASSES[3] + (sides >= 4) + (sides >= 7)
+    return (case * _CLASSES[4] + occupied) * _CLASSES[5] + beside
 
 
 @parallel_kernel

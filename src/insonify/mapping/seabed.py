@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from insonify.frames import directions_from_angles
 from insonify.jit import kernel
 from insonify.types import Array, FanGeometry, Float32, Float64, Int64
 
@@ -48,7 +49,7 @@ class SeabedHeights:
         self._cells: dict[tuple[int, int], int] = {}
         self._coords = np.zeros((64, 2), np.int64)
         self._base_m = np.zeros(64)
-        self._counts = np.zeros((64, _STEPS), np.uint16)
+        self._counts = np.zeros((64, _STEPS), np.uint32)
 
     def hear(self, image: Float32, lit: float, transform: Float64, geometry: FanGeometry) -> None:
         """Take in a ping.
@@ -59,17 +60,9 @@ class SeabedHeights:
             transform: ``world_from_sonar``, (4, 4).
             geometry: The sonar's.
         """
-        lower = -geometry.elevation_fov_rad / 2
         azimuths = geometry.beam_azimuths_rad
-        flat = math.cos(lower)
-        directions = np.column_stack(
-            [
-                flat * np.cos(azimuths),
-                flat * np.sin(azimuths),
-                np.full(len(azimuths), math.sin(lower)),
-            ]
-        )
-        directions = directions @ transform[:3, :3].T
+        lower = np.full(len(azimuths), -geometry.elevation_fov_rad / 2)
+        directions = directions_from_angles(azimuths, lower) @ transform[:3, :3].T
         first = _first_runs(image, np.float32(lit))
         heard = (first >= 0) & (directions[:, 2] < _STEEPEST)
         ranges = geometry.range_min_m + (first[heard] + 0.5) * geometry.bin_m
@@ -158,7 +151,8 @@ class SeabedHeights:
             if slot >= len(self._coords):
                 for name in ("_coords", "_base_m", "_counts"):
                     old = getattr(self, name)
-                    setattr(self, name, np.concatenate([old, np.zeros_like(old)]))
+                    more = np.zeros((max(64, len(old)), *old.shape[1:]), old.dtype)
+                    setattr(self, name, np.concatenate([old, more]))
             self._coords[slot] = x, y
             self._base_m[slot] = z_m - _ABOVE * _STEP_M
         return slot
@@ -168,7 +162,7 @@ class SeabedHeights:
         if z_m >= self._base_m[slot]:
             return
         steps = math.ceil((self._base_m[slot] - z_m) / _STEP_M) + _ABOVE
-        moved = np.zeros(_STEPS, np.uint16)
+        moved = np.zeros(_STEPS, np.uint32)
         if steps < _STEPS:
             moved[steps:] = self._counts[slot, : _STEPS - steps]
         self._counts[slot] = moved
@@ -209,7 +203,6 @@ def _plane(places: Float64, heights: Float64, weights: Float64) -> Float64 | Non
     prior = np.diag([1e-9, (0.1 / _SLOPE) ** 2, (0.1 / _SLOPE) ** 2])
     trust = np.minimum(weights, 20.0)
     plane = np.array([np.quantile(heights, 0.3), 0.0, 0.0])
-    scale = trust
     for _ in range(6):
         residuals = heights - design @ plane
         # what lies above may be an object, what lies below is hardly anything but seabed

@@ -245,9 +245,9 @@ def _walk(
                 if log_odds[slot, voxel] > _UNCUT:
                     kind |= _SHADES
                     cells[count] = cell
-                if seen[slot, voxel] & THROWS_SHADOW and kind & _SHADES:
-                    for c in range(cell, last + 1):
-                        rivals[c] = 1
+                    if seen[slot, voxel] & THROWS_SHADOW:
+                        for c in range(cell, last + 1):
+                            rivals[c] = 1
             met[count] = (((np.int64(row) << 9) | voxel) << 4) | kind
             count += 1
         entry, cell = leave, last

@@ -347,9 +347,7 @@ def _assess(run: Run) -> ScanRow:
         time_s=None if run.flight is None else run.flight.time_s,
         total_entropy_bits=round(float(entropy_map(window).sum(dtype=np.float64)), 3),
         metrics=score_map(run.mapper.voxels, run.truth),
-        ghosts=round(
-            ghosts(run.mapper.voxels, run.world.area.region, run.truth, run.world.scene), 6
-        ),
+        ghosts=round(ghosts(window, run.truth, run.world.scene), 6),
     )
 
 

@@ -32,7 +32,7 @@ def path_over_centre(area: SurveyArea, heading_rad: float) -> ScanPath:
 
 
 def near_area(area: SurveyArea, geometry: FanGeometry, least_altitude_m: float) -> SurveyArea:
-    """The order to scan an area as a careful pilot would: begun at the sonar's range, and low.
+    """The order as a careful pilot would have it: from the sonar's range, as high as a rosette.
 
     The paper's scans begin where the object is far out of range, at one height for all objects.
 
@@ -41,8 +41,9 @@ def near_area(area: SurveyArea, geometry: FanGeometry, least_altitude_m: float) 
         geometry: The sonar.
         least_altitude_m: See `rosette_around`.
     """
-    height_m = rosette_around(area, geometry, least_altitude_m).top_m
-    z_m = height_m if geometry.tilt_rad > 0.0 else area.z_m
+    z_m = area.z_m
+    if geometry.tilt_rad > 0.0:
+        z_m = rosette_around(area, geometry, least_altitude_m).top_m
     drop_m = max(0.0, z_m - area.region.low_m[2])
     reach_m = math.sqrt(max(0.0, (_REACH * geometry.range_max_m) ** 2 - drop_m**2))
     before_m = max(area.overrun_m, reach_m - area.extent_m(area.heading_rad) / 2)

@@ -34,13 +34,15 @@ def save_point_cloud(
     corner = voxels.coords * voxels.block_m
     near = np.logical_and(corner + voxels.block_m > region.low_m, corner < region.high_m)
     undecided = (entropy >= least_entropy) & near.all(axis=1).reshape(-1, 1)
-    kept = (voxels.seen > 0) & ((voxels.log_odds > 0.0) | undecided | voxels.surface)
+    surface = voxels.surface
+    shown = (voxels.log_odds > 0.0) | surface
+    kept = (voxels.seen > 0) & (shown | undecided)
     slot, voxel = np.nonzero(kept)
     within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
     index = voxels.coords[slot] * BLOCK + within
     centre = (index + 0.5) * voxels.voxel_m
     inside = ((centre >= region.low_m) & (centre <= region.high_m)).all(axis=1)
-    inside |= (voxels.log_odds > 0.0)[slot, voxel] | voxels.surface[slot, voxel]
+    inside |= shown[slot, voxel]
     slot, voxel, index = slot[inside], voxel[inside], index[inside]
     order = np.lexsort(index.T[::-1])
     names = ("x", "y", "z", "probability", "entropy")
@@ -51,7 +53,7 @@ def save_point_cloud(
         points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order] + voxels.origin_m[axis]
     points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
     points["entropy"] = entropy[slot, voxel][order]
-    points["surface"] = voxels.surface[slot, voxel][order]
+    points["surface"] = surface[slot, voxel][order]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     header += [f"property {_PLY[kind]} {name}" for name, kind in kinds.items()]
     with path.open("wb") as file:
