@@ -15,6 +15,7 @@ import pytest
 import trimesh
 
 from insonify.io.maps import load_map
+from insonify.planning.factory import COMPARED
 
 pytestmark = pytest.mark.slow
 
@@ -130,10 +131,10 @@ def test_compare_prints_the_runs_and_the_papers_figures(tmp_path: Path) -> None:
     done = _run("compare", "tetrapod", "--seeds", "2", *QUICK, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
-    assert len(document["runs"]) == 6
+    assert len(document["runs"]) == 10
     for seed in (0, 1):
         runs = [run for run in document["runs"] if run["seed"] == seed]
-        assert [run["planner"] for run in runs] == ["entropy", "uniform", "lawnmower"]
+        assert tuple(run["planner"] for run in runs) == COMPARED
         assert len({(run["scans"], run["pings"]) for run in runs}) == 1
     table = document["table"]["tetrapod"]
     assert table["entropy"]["paper"]["f1"] == 0.527
@@ -146,6 +147,11 @@ def test_compare_prints_the_runs_and_the_papers_figures(tmp_path: Path) -> None:
     assert figure["ci95"] == pytest.approx(12.7062 * abs(f1[0] - f1[1]) / 2, rel=1e-4)
     people = _run("compare", "tetrapod", "--seeds", "1", *QUICK, cwd=tmp_path)
     assert people.returncode == 0 and "0.527" in people.stdout
+    assert "surface" in people.stdout and "recall" not in people.stdout
+    assert max(map(len, people.stdout.splitlines())) <= 80
+    every = _run("compare", "tetrapod", "--seeds", "1", "--all", *QUICK, cwd=tmp_path)
+    assert every.returncode == 0 and "recall" in every.stdout and "0.811" in every.stdout
+    assert max(map(len, every.stdout.splitlines())) <= 80 and "…" not in every.stdout
 
 
 @pytest.mark.parametrize("command", ["scenarios", "sonars"])

@@ -37,6 +37,8 @@ from insonify.cli.vehicles import (
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
     from insonify.config.settings import Table
     from insonify.mission.result import ScanResult
 
@@ -47,7 +49,7 @@ PlannersOption = Annotated[
         "--planner",
         metavar="NAME",
         help="Compare these, by name or your own: module:Name, file.py:Name; may be repeated. By "
-        "default entropy, uniform, lawnmower.",
+        "default entropy, and uniform and lawnmower, both also begun near the object.",
     ),
 ]
 
@@ -67,6 +69,9 @@ def compare(
     ] = 1,
     out: OutOption = None,
     force: ForceOption = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Print precision, recall, F1 to F3, and tolerances.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Compare planners over seeds, beside the paper's Tables 2 and 3.
@@ -90,7 +95,7 @@ def compare(
         if not rows:
             print("insonify: interrupted before the first run was complete", file=sys.stderr)
             raise typer.Exit(EXIT_INTERRUPTED)
-        _tell(rows, scratch, flown=flown, as_json=as_json)
+        _tell(rows, scratch, flown=flown, as_json=as_json, every=every)
     if out is not None:
         print(f"Rows: {out}", file=sys.stderr)
     if interrupted():
@@ -110,7 +115,9 @@ def result_folder_if(out: Path | None, force: bool) -> Iterator[Path | None]:
             yield place.scratch
 
 
-def _tell(rows: list[ScanResult], folder: Path | None, *, flown: bool, as_json: bool) -> None:
+def _tell(
+    rows: list[ScanResult], folder: Path | None, *, flown: bool, as_json: bool, every: bool
+) -> None:
     """Write and print the table."""
     from insonify.mission.comparison import summarise, summarise_navigation
     from insonify.results.comparison import save_comparison
@@ -123,7 +130,7 @@ def _tell(rows: list[ScanResult], folder: Path | None, *, flown: bool, as_json: 
     elif flown:
         print_navigation(table)
     else:
-        print_comparison(table)
+        print_comparison(table, every=every)
 
 
 def _runs(
@@ -136,11 +143,11 @@ def _runs(
 ) -> list[ScanResult]:
     from insonify.mission.comparison import compare as compare_planners
     from insonify.mission.comparison import compare_navigation
-    from insonify.planning.factory import PAPERS
+    from insonify.planning.factory import COMPARED
 
     if flown:
         return compare_navigation(names, seeds, layers, **how)
-    order = [absolute(planner) or planner for planner in planners or PAPERS]
+    order = [absolute(planner) or planner for planner in planners or COMPARED]
     return compare_planners(names, seeds, layers, order, **how)
 
 
@@ -156,43 +163,53 @@ def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
     return layers
 
 
-def print_comparison(table: Table) -> None:
-    """A comparison of planners for people: the paper's in the paper's order, then others."""
-    from rich import box
+def print_comparison(table: Table, *, every: bool) -> None:
+    """A comparison of planners for people, a row each beside the paper's: F1, or every score."""
     from rich.console import Console
-    from rich.table import Table as RichTable
 
     from insonify.mission.comparison import SCORES
     from insonify.mission.setup import scenarios as known
 
     console = Console()
-    first = ("lawnmower", "uniform", "entropy")
+    tolerances = {"exact": "voxel for voxel", "within_one_voxel": "within one voxel"}
     for name, planners in table.items():
         paper = known()[name].get("paper")
-        order = [planner for planner in first if planner in planners]
-        order += [planner for planner in planners if planner not in first]
         title = name if paper is None else f"{name} (paper: {paper['source']})"
-        view = RichTable("", title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
-        short = [planner.rpartition(":")[2] for planner in order]
-        for planner, head in zip(order, short, strict=True):
-            head = head if short.count(head) == 1 else planner
-            view.add_column(head, no_wrap=True)
-            view.add_column("paper" if "paper" in planners[planner] else "", style="dim")
-        tolerances = (("exact", "exact"), ("within_one_voxel", "±1 voxel"))
-        for kind, (match, label) in product(("solid", "surface"), tolerances):
-            view.add_row(f"[bold]{kind}, {label}")
-            for score in SCORES:
-                cells = []
-                for planner in order:
-                    figure = planners[planner][kind][match][score]
-                    spread = "" if figure["ci95"] is None else f" ±{figure['ci95']:.3f}"
-                    cells.append(f"{figure['mean']:.3f}{spread}")
-                    theirs = planners[planner].get("paper")
-                    cells.append("" if theirs is None else f"{theirs[score]:.3f}")
-                view.add_row(score, *cells)
-            view.add_section()
-        for key, label in (("scans", "scans"), ("pings", "pings"), ("path_m", "path, m")):
-            figures = [f"{planners[planner][key]['mean']:.1f}" for planner in order]
-            view.add_row(label, *(cell for figure in figures for cell in (figure, "")))
-        console.print(view)
-    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+        if not every:
+            columns = {f"F1, {kind}": (kind, "exact", "f1") for kind in ("solid", "surface")}
+            console.print(_view(f"{title}, voxel for voxel", planners, columns))
+            continue
+        for kind, match in product(("solid", "surface"), tolerances):
+            columns = {score: (kind, match, score) for score in SCORES}
+            what = f"{title}, {kind}, {tolerances[match]}"
+            console.print(_view(what, planners, columns, spread=False))
+    spread = "" if every else " ± half of its 95 % confidence interval"
+    console.print(f"Mean over the seeds{spread}.")
+
+
+def _view(
+    title: str, planners: Table, columns: dict[str, tuple[str, str, str]], *, spread: bool = True
+) -> RichTable:
+    """Some scores of planners, and what they took; the paper's scores a line below."""
+    from rich import box
+    from rich.table import Table as RichTable
+
+    view = RichTable("planner", title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
+    for head in (*columns, "pings", "path, m"):
+        view.add_column(head, justify="right")
+    short = [planner.rpartition(":")[2] for planner in planners]
+    for (planner, figures), head in zip(planners.items(), short, strict=True):
+        cells = [
+            _figure(figures[kind][match][score], spread) for kind, match, score in columns.values()
+        ]
+        cells += [f"{figures[key]['mean']:.1f}" for key in ("pings", "path_m")]
+        view.add_row(head if short.count(head) == 1 else planner, *cells)
+        if "paper" in figures:
+            theirs = (f"{figures['paper'][score]:.3f}" for _, _, score in columns.values())
+            view.add_row("  paper", *theirs, style="dim")
+    return view
+
+
+def _figure(figure: dict[str, float | None], spread: bool) -> str:
+    half = f" ±{figure['ci95']:.3f}" if spread and figure["ci95"] is not None else ""
+    return f"{figure['mean']:.3f}{half}"

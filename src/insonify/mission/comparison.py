@@ -13,7 +13,7 @@ from insonify.mission.result import ScanResult
 from insonify.mission.run import Run
 from insonify.mission.setup import scenario_config, scenarios
 from insonify.mission.statistics import interval
-from insonify.planning.factory import PAPERS, PLANNERS
+from insonify.planning.factory import COMPARED, PLANNERS
 
 SCORES = ("precision", "recall", "f1", "f2", "f3")
 NAVIGATION = ("truth", "dvl")
@@ -23,7 +23,7 @@ def compare(
     names: Sequence[str],
     seeds: int,
     layers: Iterable[Table] = (),
-    planners: Sequence[str] = PAPERS,
+    planners: Sequence[str] = COMPARED,
     *,
     workers: int = 1,
     watch: Callable[[Run, Step], None] = lambda run, step: None,

@@ -62,8 +62,8 @@ PLANNERS: dict[str, Callable[[Task], Planner]] = {
         task.area, task.geometry, task.rosette, task.least_altitude_m
     ),
 }
-PAPERS = ("entropy", "uniform", "lawnmower")
-"""The planners of Park et al. 2025."""
+COMPARED = ("entropy", "uniform", "uniform-near", "lawnmower", "lawnmower-near")
+"""The planners of Park et al. 2025, its baselines also as a careful pilot would fly them."""
 FIXED_PLANS = frozenset({"uniform", "lawnmower", "uniform-near", "lawnmower-near"})
 """Those that fly as many scans as they are told."""
 
