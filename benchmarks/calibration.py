@@ -12,6 +12,8 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 from pathlib import Path
 from unittest import mock
 
@@ -41,6 +43,10 @@ PATHS: dict[str, Table] = {
     "low rosette": {"planner": "rosette"},
 }
 """Scans from few sides and from many, near and far."""
+NOISE: dict[str, Table] = {
+    "exact poses": {},
+    "poses in doubt": {"vehicle": {"pose_noise": {"position_m": 0.05, "attitude_deg": 0.5}}},
+}
 _PRIOR, _PRIOR_SOLID, _PRIOR_SURFACE = 5e-4, 0.3, 0.2
 """Of an object's voxels: what a case counts before anything is seen of it."""
 _TABLE = Path(insonify.mapping.__file__).parent / "odds.json"
@@ -59,9 +65,9 @@ of the water in the designated area around it are of each row.
 """
 
 
-def carved(scenario: str, path: str, seed: int) -> Cases:
+def carved(scenario: str, path: str, noise: str, seed: int) -> Cases:
     """Fly a scan, carve its pings, and look at the table's rows instead of what they hold."""
-    config = scenario_config(scenario, [PATHS[path], {"seed": seed}])
+    config = scenario_config(scenario, [PATHS[path], NOISE[noise], {"seed": seed}])
     rows = np.column_stack([np.arange(CASES), np.zeros(CASES)]).astype(np.float32)
     mapper = CarvingMapper(config.mapping)
 
@@ -122,6 +128,12 @@ def calibration_error(scans: Iterable[Cases], solid: Float64) -> float:
     return sum(n * abs(p - y) for n, p, y in rows) / sum(n for n, _, _ in rows)
 
 
+def _all(scans: Iterable[tuple[str, str, str, int]]) -> list[Cases]:
+    """Scans by their arguments, a process for each core."""
+    with ProcessPoolExecutor() as pool:
+        return list(pool.map(carved, *zip(*scans, strict=True)))
+
+
 def main() -> None:
     """Learn, or check, and print."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -130,23 +142,25 @@ def main() -> None:
     options = parser.parse_args()
     seeds = SEEDS[: options.seeds]
     if not options.check:
-        scans = [carved(name, path, seed) for name in LEARNT for path in PATHS for seed in seeds]
+        scans = _all(product(LEARNT, PATHS, NOISE, seeds))
         solid, surface = (share.clip(0.001, 0.999).round(4) for share in shares(scans))
-        table = {"objects": LEARNT, "seeds": seeds, "paths": list(PATHS)}
+        table = {"objects": LEARNT, "seeds": seeds, "paths": list(PATHS), "noise": list(NOISE)}
         lines = [f'  "{key}": {json.dumps(value)},' for key, value in table.items()]
         lines += [f'  "solid": {json.dumps(solid.tolist())},']
         lines += [f'  "surface": {json.dumps(surface.tolist())}']
         _TABLE.write_text("{\n" + "\n".join(lines) + "\n}\n", encoding="utf-8")
     solid = np.array(json.loads(_TABLE.read_text(encoding="utf-8"))["solid"])
-    everything: list[Cases] = []
-    for name in HELD_BACK:
-        scans = [carved(name, path, seeds[0]) for path in PATHS]
-        everything += scans
-        print(f"{name}: expected calibration error {calibration_error(scans, solid):.3f}")
-    print(f"held-back objects: {calibration_error(everything, solid):.3f}")
-    print("voxels, mean probability, share that is the object:")
-    for number, probability, share in reliability(everything, solid):
-        print(f"{number:9d}  {probability:.3f}  {share:.3f}")
+    for noise in NOISE:
+        everything: list[Cases] = []
+        for name in HELD_BACK:
+            scans = _all((name, path, noise, seeds[0]) for path in PATHS)
+            everything += scans
+            error = calibration_error(scans, solid)
+            print(f"{name}, {noise}: expected calibration error {error:.3f}")
+        print(f"held-back objects, {noise}: {calibration_error(everything, solid):.3f}")
+        print("voxels, mean probability, share that is the object:")
+        for number, probability, share in reliability(everything, solid):
+            print(f"{number:9d}  {probability:.3f}  {share:.3f}")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from insonify.frames import (
     rotation_from_quaternion,
     rotation_from_rpy,
     slerp,
+    std_from_covariance,
     transform_from_pose,
     world_from_sonar,
 )
@@ -55,6 +56,21 @@ def test_composed_poses_compose_their_transforms() -> None:
     outer, inner = Pose(1, 2, 3, 0.1, 0.2, 0.3), Pose(-0.5, 0.4, 0.2, 0.3, -0.1, 2.0)
     both = transform_from_pose(compose(outer, inner))
     np.testing.assert_allclose(both, transform_from_pose(outer) @ transform_from_pose(inner))
+
+
+def test_deviations_are_those_of_the_worst_direction_however_the_axes_lie() -> None:
+    turn = rotation_from_rpy(0.4, -0.3, 1.2)
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = turn @ np.diag([0.01, 0.25, 0.04]) @ turn.T
+    covariance[3:, 3:] = turn @ np.diag([1e-4, 1e-6, 4e-4]) @ turn.T
+    assert std_from_covariance(covariance) == pytest.approx((0.5, 0.02))
+
+
+@pytest.mark.parametrize("first", [0.0, -1.0, math.nan, math.inf])
+def test_a_covariance_that_tells_nothing_gives_none(first: float) -> None:
+    covariance = np.zeros((6, 6))
+    covariance[0, 0] = first
+    assert std_from_covariance(covariance) == (0.0, 0.0)
 
 
 def test_positive_azimuth_is_left_and_positive_elevation_up() -> None:

@@ -56,6 +56,24 @@ def compose(outer: Pose, inner: Pose) -> Pose:
     return pose_from_transform(transform_from_pose(outer) @ transform_from_pose(inner))
 
 
+def std_from_covariance(covariance: Float64) -> tuple[float, float]:
+    """Standard deviations of position (m) and attitude (rad), each in its worst direction.
+
+    Args:
+        covariance: (6, 6), position first.
+
+    Returns:
+        0 for what it does not tell: ROS messages leave it 0, or say -1, where nothing is known.
+    """
+    if not np.isfinite(covariance).all() or covariance[0, 0] < 0.0:
+        return 0.0, 0.0
+    position, attitude = (
+        math.sqrt(max(0.0, float(np.linalg.eigvalsh(covariance[part, part])[-1])))
+        for part in (slice(0, 3), slice(3, 6))
+    )
+    return position, attitude
+
+
 FLU_FROM_FRD = np.diag([1.0, -1.0, -1.0, 1.0])
 """Forward, left, up from forward, starboard, down; its own inverse."""
 ENU_FROM_NED = np.array(

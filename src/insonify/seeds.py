@@ -16,6 +16,7 @@ class Stream(IntEnum):
     DATASET_POSES = 4
     DATASET_NOISE = 5
     PLACE = 6
+    POSES = 7
 
 
 def generator(seed: int, stream: Stream, *number: int) -> np.random.Generator:

@@ -42,14 +42,25 @@ class Pose:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        values = (self.x_m, self.y_m, self.z_m, self.roll_rad, self.pitch_rad, self.yaw_rad)
-        if not all(map(math.isfinite, values)):
-            raise GeometryError(f"a pose needs six finite numbers, not {values}: check its source")
+        if not all(map(math.isfinite, self.numbers)):
+            raise GeometryError(
+                f"a pose needs six finite numbers, not {self.numbers}: check its source"
+            )
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float, float, float]:
+        """x, y, z in metres; roll, pitch, yaw in radians."""
+        return (self.x_m, self.y_m, self.z_m, self.roll_rad, self.pitch_rad, self.yaw_rad)
 
     @property
     def position_m(self) -> tuple[float, float, float]:
         """The position alone."""
         return (self.x_m, self.y_m, self.z_m)
+
+    @property
+    def std(self) -> tuple[float, float]:
+        """How far it may be off: standard deviations of position (m) and attitude (rad)."""
+        return (0.0, 0.0)
 
     def moved(self, by_m: Sequence[float]) -> Pose:
         """The pose moved by a vector of the world."""
@@ -59,6 +70,32 @@ class Pose:
     def relative_to(self, origin_m: Sequence[float]) -> Pose:
         """The pose as it is told from an origin."""
         return self.moved([-c for c in origin_m])
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedPose(Pose):
+    """A pose as navigation tells it, with how far it may be off.
+
+    Attributes:
+        position_std_m: Standard deviation of the position, in the direction that is known least.
+        attitude_std_rad: The same of the attitude.
+    """
+
+    position_std_m: float = 0.0
+    attitude_std_rad: float = 0.0
+
+    @property
+    def std(self) -> tuple[float, float]:
+        """As of any pose."""
+        return (self.position_std_m, self.attitude_std_rad)
+
+
+def estimated(pose: Pose, std: Iterable[float]) -> Pose:
+    """A pose with how far it may be off, see `Pose.std`; the pose itself where that is 0."""
+    position_std_m, attitude_std_rad = map(float, std)
+    if not (position_std_m or attitude_std_rad):
+        return pose
+    return EstimatedPose(*pose.numbers, position_std_m, attitude_std_rad)
 
 
 @dataclass(frozen=True, slots=True)

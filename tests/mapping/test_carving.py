@@ -9,21 +9,23 @@ from importlib import resources
 import numba
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter
 
+from insonify.config.settings import Table
 from insonify.errors import ConfigError, MemoryLimitError
 from insonify.evaluation import score_map
 from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.carving import CarvingMapper
 from insonify.mapping.mapper import CarvingSettings, MappingSettings
-from insonify.mapping.odds import CASES, case_of, odds_table
+from insonify.mapping.odds import CASES, DOUBTED, case_of, odds_table
 from insonify.mapping.seabed import SeabedHeights
 from insonify.mapping.visibility import DARK, LIT, count_pixels, look
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, SURFACE
 from insonify.mission.loop import Pinged, Step
 from insonify.mission.run import Run, execute
 from insonify.mission.setup import World, scenario_config
-from insonify.types import Array, Box, FanGeometry, Ping, Pose, PosedPing
+from insonify.types import Array, Box, FanGeometry, Ping, Pose, PosedPing, estimated
 
 SETTINGS = MappingSettings()
 
@@ -188,7 +190,7 @@ def test_marks_without_a_seabed_are_those_of_a_slow_reference() -> None:
     look(
         index, low.astype(np.int64), np.arange(blocks), np.zeros((blocks, 512), np.float32),
         np.zeros((blocks, 512), np.uint8), transform, fan, angles, voxel_m,
-        count_pixels(image, np.float32(0.5)),
+        count_pixels(image, np.float32(0.5), 0, 0),
         (np.full((8, 8), -1e9), np.zeros((8, 8), bool), 0.1), -1.5, marks,
     )  # fmt: skip
     expected, doubtful = _reference(geometry, transform, image, angles, voxel_m)
@@ -290,22 +292,66 @@ def test_pixels_that_are_not_known_free_nothing_behind_them() -> None:
 
 def test_the_table_has_a_row_for_every_case_and_says_what_it_was_learnt_from() -> None:
     cases = {
-        case_of(free / 8, near, covered, sides, occupied, beside)
+        case_of(free / 8, near, covered, (1 << sides) - 1 | doubted, occupied, beside)
         for free in range(9)
         for near in np.linspace(0, 1, 28)
         for covered in np.linspace(0, 1, 9)
         for sides in range(9)
         for occupied in (False, True)
         for beside in (False, True)
+        for doubted in (0, DOUBTED)
     }
     assert cases == set(range(CASES))
     table = json.loads(resources.files("insonify.mapping").joinpath("odds.json").read_text())
     assert len(table["solid"]) == len(table["surface"]) == len(odds_table()) == CASES
     assert not {"wreck", "arch", "amphorae", "trap"} & set(table["objects"])
     assert not set(range(100)) & set(table["seeds"])
-    free = case_of(1.0, 1.0, 0.0, 8, False, False)
-    inside = case_of(0.0, 0.0, 1.0, 8, True, True)
+    free = case_of(1.0, 1.0, 0.0, 255, False, False)
+    inside = case_of(0.0, 0.0, 1.0, 255, True, True)
     assert odds_table()[free, 0] < -3 < 2 < odds_table()[inside, 0]
+
+
+def test_echoes_are_widened_by_what_a_pose_may_be_off() -> None:
+    rng = np.random.default_rng(3)
+    image = (rng.random((60, 12)) < 0.05).astype(np.float32)
+    image[40, 3] = np.nan
+    for along, aside in ((0, 0), (2, 0), (0, 1), (3, 2)):
+        maybe, surely = count_pixels(image, np.float32(0.5), along, aside)
+        wide = maximum_filter(~(image <= 0.5), size=(2 * along + 1, 2 * aside + 1))
+        assert np.array_equal(maybe[:, 1:], np.cumsum(wide, axis=0).T), (along, aside)
+        assert np.array_equal(surely[:, 1:], np.cumsum(image > 0.5, axis=0).T)
+
+
+def test_a_ping_from_a_pose_in_doubt_shows_less_and_less_the_farther_away() -> None:
+    geometry = _small()
+    maps = []
+    for std in ((0.0, 0.0), (0.05, 0.0), (0.0, 0.05)):
+        mapper = CarvingMapper(MappingSettings(voxel_m=0.1))
+        mapper.integrate(
+            Ping(np.zeros((40, 8), np.float32), geometry), estimated(Pose(0, 0, 0), std)
+        )
+        fine = mapper.save()
+        block = fine["fine_coords"].tolist().index([2, 0, -1])
+        maps.append(fine["fine_log_odds"][block].min())
+    near_m = 0.4 * math.dist((2.5, 0.5, -0.5), (0, 0, 0))
+    assert maps == pytest.approx([-1.0, -0.5, -1.0 / (1.0 + near_m)], rel=1e-5)
+
+
+def test_poses_that_are_off_cost_less_when_the_mapper_knows() -> None:
+    layers: list[Table] = [
+        {"planner": "uniform", "mapper": "carving", "survey": {"waypoints": 25}},
+        {"vehicle": {"pose_noise": {"position_m": 0.05, "attitude_deg": 0.5}}},
+    ]
+    told = execute(scenario_config("tetrapod", layers))
+
+    class Untold(CarvingMapper):
+        def integrate(self, ping: Ping, pose: Pose) -> None:
+            super().integrate(ping, Pose(*pose.numbers))
+
+    config = scenario_config("tetrapod", layers)
+    untold = execute(config, mapper=Untold(config.mapping))
+    scores = [run.history[-1].metrics["solid"]["exact"]["f1"] for run in (told, untold)]
+    assert scores[0] > 0.85 > scores[1] + 0.2
 
 
 def test_it_needs_no_seabed_and_takes_one_beam() -> None:

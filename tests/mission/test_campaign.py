@@ -146,7 +146,7 @@ def test_a_wrong_campaign_is_refused_before_anything_is_flown(
         ("seeds = 3", "setting scenarios: field required"),
         ("scenarios = ['wreck']\nseeds = 0", "setting seeds: should be how many seeds"),
         ("scenarios = ['wreck']\nseeds = 'x'", "setting seeds: .* or a list of them, not 'x'"),
-        ("scenarios = ['wreck']\nnavigation = ['gps']", "'none', 'truth' or 'dvl', not 'gps'"),
+        ("scenarios = ['wreck']\nnavigation = ['gps']", "'noise', 'truth' or 'dvl', not 'gps'"),
         ("scenarios = [", "cannot be read as TOML"),
     ],
 )

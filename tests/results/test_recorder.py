@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -19,6 +20,7 @@ from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.mcap_writing import McapWriter
+from insonify.mapping.carving import CarvingMapper
 from insonify.mapping.mapper import MappingSettings
 from insonify.mission.remap import map_recordings
 from insonify.mission.run import Run, execute
@@ -44,6 +46,26 @@ def test_the_map_of_the_recording_is_the_scans_own(scan: tuple[Run, Path], tmp_p
     save_map(replay.mapper.voxels, tmp_path / "replay.npz")
     assert (tmp_path / "scan.npz").read_bytes() == (tmp_path / "replay.npz").read_bytes()
     assert replay.fans == [run.config.sonar.geometry]
+
+
+def test_how_far_poses_may_be_off_is_recorded_too(tmp_path: Path) -> None:
+    quick = {
+        "mapper": "carving",
+        "planner": "uniform",
+        "mapping": {"voxel_m": 0.25},
+        "survey": {"waypoints": 6},
+        "vehicle": {"pose_noise": {"position_m": 0.1, "attitude_deg": 1.0}},
+    }
+    with recording(tmp_path) as record:
+        run = execute(scenario_config("tetrapod", [quick]), watch=record)
+    path = tmp_path / "recording.mcap"
+    mapper = CarvingMapper(run.config.mapping)
+    map_recordings([open_recording(path)], run.config.mapping, mapper=mapper)
+    for name, array in run.mapper.save().items():
+        np.testing.assert_array_equal(mapper.save()[name], array, err_msg=name)
+    for posed in open_recording(path, Reading(pose_topic="/odometry")):
+        assert posed.pose is not None
+        assert posed.pose.std == pytest.approx((0.1, math.radians(1.0)))
 
 
 def test_the_standard_messages_alone_make_nearly_the_same_map(scan: tuple[Run, Path]) -> None:

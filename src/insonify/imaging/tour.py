@@ -165,7 +165,7 @@ class _Mounted:
         ping = self._sonar.ping(scene, base, self._rng, head_rad=head_rad, time_s=craft.time_s)
         geometry = ping.geometry
         whole = dataclasses.replace(geometry, mount=compose(place, geometry.mount))
-        posed = PosedPing(dataclasses.replace(ping, geometry=whole), craft.believed_pose, true)
+        posed = PosedPing(dataclasses.replace(ping, geometry=whole), craft.estimated_pose, true)
         return TourPing(self.mounted.name, number, posed)
 
 

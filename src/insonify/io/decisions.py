@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -114,7 +113,7 @@ def _record(pings: int, arrays: dict[str, Array]) -> DecisionRecord:
 
 
 def _rows(poses: Iterable[Pose]) -> Array:
-    return np.array([dataclasses.astuple(pose) for pose in poses], np.float64).reshape(-1, 6)
+    return np.array([pose.numbers for pose in poses], np.float64).reshape(-1, 6)
 
 
 def _poses(rows: Array) -> tuple[Pose, ...]:

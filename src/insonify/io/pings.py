@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -144,7 +143,7 @@ def _write(path: Path, form: str, arrays: dict[str, Array]) -> None:
 
 def _six(pose: Pose | None) -> Array:
     assert pose is not None
-    return np.array(dataclasses.astuple(pose))
+    return np.array(pose.numbers)
 
 
 def _pose(six: Array) -> Pose:

@@ -21,17 +21,29 @@ from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.fan import blocks_in_fan, fan_vector
 from insonify.mapping.mapper import MappingSettings
-from insonify.mapping.odds import Evidence, odds_table, read_off
+from insonify.mapping.odds import DOUBTED, Evidence, odds_table, read_off
 from insonify.mapping.seabed import SeabedHeights
 from insonify.mapping.sight import before_the_first_occupied
 from insonify.mapping.store import BLOCK, VOXELS_PER_BLOCK, MemoryStore
-from insonify.mapping.visibility import count_pixels, look, vote
+from insonify.mapping.visibility import ROWS, count_pixels, look, vote
 from insonify.mapping.voxels import VoxelMap
-from insonify.types import Array, Bool, FanGeometry, Float32, Float64, Int32, Int64, Ping, Pose
+from insonify.types import (
+    Array,
+    Bool,
+    FanGeometry,
+    Float32,
+    Float64,
+    Int32,
+    Int64,
+    Ping,
+    Pose,
+)
 
 _KNOWN_FREE = -1.5
 """Log-odds below which a lit voxel does not stop a ray: two pings have shown it free."""
-_VOTES = np.array([-1.0, 0.1, -6.0, 6.0], np.float32)
+_DARK, _LIT = -1.0, 0.1
+"""Votes of a voxel that a ray passes, and of one that is lit or stops it."""
+_LIMITS = np.array([-6.0, 6.0], np.float32)
 _ZONE_M = 0.1
 """Rays end so far above the seabed."""
 _CERTAIN = 5.0
@@ -41,6 +53,10 @@ _DOUBT_M = 0.15
 _NOWHERE_M = -1e9
 _SPAN = 1 << 22
 """More than the blocks across any map."""
+_MOST_STD_M = 0.15
+"""A pose that may be farther off counts as if it were not: something must count."""
+_SLACK = 0.3
+"""Of a standard deviation."""
 _APART = 1.0, 1.5
 """Rays lie so many voxels apart at the end of the range: in elevation, and at most in azimuth."""
 
@@ -57,7 +73,7 @@ class CarvingMapper:
         self._papers = BayesMapper(settings)
         self._fine = MemoryStore()
         self._seabed = SeabedHeights()
-        self._marks = np.zeros((3, 0, VOXELS_PER_BLOCK), np.uint8)
+        self._marks = np.zeros((ROWS, 0, VOXELS_PER_BLOCK), np.uint8)
         self._derived = _Derived(settings.carving.inside, self._fine, self._papers.voxels)
         self.voxels = VoxelMap(settings.voxel_m, self._derived)
 
@@ -70,9 +86,11 @@ class CarvingMapper:
         self._seabed.hear(ping.image, float(threshold), transform, geometry)
         blocks = blocks_in_fan(transform, geometry, BLOCK * self._voxel_m)
         slots = self._fine.allocate(blocks)
-        self._derived.touch(blocks, slots, _sides(transform, blocks, BLOCK * self._voxel_m))
+        std_m = _std(pose, transform, blocks, BLOCK * self._voxel_m)
+        views = _views(transform, blocks, BLOCK * self._voxel_m, std_m > self._voxel_m / 2)
+        self._derived.touch(blocks, slots, views)
         if len(blocks) > self._marks.shape[1]:
-            self._marks = np.zeros((3, len(blocks) * 5 // 4, VOXELS_PER_BLOCK), np.uint8)
+            self._marks = np.zeros((ROWS, len(blocks) * 5 // 4, VOXELS_PER_BLOCK), np.uint8)
         first = blocks.min(axis=0).astype(np.int64)
         index = np.full(tuple(blocks.max(axis=0) + 1 - first), -1, np.int32)
         index[tuple((blocks - first).T)] = np.arange(len(blocks))
@@ -86,12 +104,13 @@ class CarvingMapper:
             fan_vector(geometry),
             _rays(geometry, self._voxel_m),
             self._voxel_m,
-            count_pixels(ping.image, threshold),
+            count_pixels(ping.image, threshold, *_slack(pose, geometry)),
             self._seabed_under(first, index.shape),
             _KNOWN_FREE,
             self._marks,
         )
-        vote(slots, self._fine.log_odds, self._fine.seen, self._marks, _VOTES)
+        votes = _votes(std_m, self._voxel_m)
+        vote(slots, self._fine.log_odds, self._fine.seen, self._marks, votes, _LIMITS)
 
     def finish_scan(self) -> None:
         """Nothing: every ping has been used when it came."""
@@ -105,7 +124,7 @@ class CarvingMapper:
         papers = self._papers.voxels
         return {
             "inside": np.array(self.settings.carving.inside),
-            **_sorted("fine", self._fine, sides=self._derived.sides),
+            **_sorted("fine", self._fine, views=self._derived.views),
             **_sorted("papers", papers),
             **self._seabed.save(),
         }
@@ -126,7 +145,7 @@ class CarvingMapper:
         slots = self._fine.allocate(coords)
         self._fine.log_odds[slots] = arrays["fine_log_odds"]
         self._fine.seen[slots] = arrays["fine_seen"]
-        self._derived.touch(coords, slots, arrays["fine_sides"])
+        self._derived.touch(coords, slots, arrays["fine_views"])
         papers = self._papers.voxels
         slots = papers.allocate(np.asarray(arrays["papers_coords"], np.int32))
         papers.log_odds[slots], papers.seen[slots] = (
@@ -148,11 +167,38 @@ class CarvingMapper:
         return np.where(certain, heights, heights - _DOUBT_M), certain, _ZONE_M
 
 
-def _sides(transform: Float64, blocks: Int32, block_m: float) -> Array:
-    """From which of eight sides a ping sees its blocks (N, 3): bits (N,)."""
+def _slack(pose: Pose, geometry: FanGeometry) -> tuple[int, int]:
+    """Bins and beams by which an echo may lie beside where its cause is seen to be."""
+    position_std_m, attitude_std_rad = pose.std
+    middle_m = 0.5 * geometry.range_max_m
+    aside_rad = math.hypot(attitude_std_rad, position_std_m / middle_m)
+    bins = min(position_std_m, _MOST_STD_M) * _SLACK / geometry.bin_m
+    beams = min(aside_rad, _MOST_STD_M / middle_m) * _SLACK / geometry.beam_rad
+    return round(bins), round(beams)
+
+
+def _std(pose: Pose, transform: Float64, blocks: Int32, block_m: float) -> Float64:
+    """How far blocks (N, 3) may be from where a pose makes them seem, standard deviations (N,)."""
+    position_std_m, attitude_std_rad = pose.std
+    away_m = np.linalg.norm((blocks + 0.5) * block_m - transform[:3, 3], axis=1)
+    std_m: Float64 = np.hypot(position_std_m, attitude_std_rad * away_m)
+    return np.minimum(std_m, _MOST_STD_M)
+
+
+def _votes(std_m: Float64, voxel_m: float) -> Float32:
+    """What a dark and a lit voxel count, (N, 2), in blocks that may be off by so much, (N,).
+
+    The farther they may be from where they seem, the less a ray shows that passed there.
+    """
+    slower = 1.0 + std_m / voxel_m
+    return np.column_stack([_DARK / slower, _LIT * slower]).astype(np.float32)
+
+
+def _views(transform: Float64, blocks: Int32, block_m: float, doubted: Bool) -> Array:
+    """From which of eight sides a ping sees its blocks (N, 3), and which are `DOUBTED`: bits."""
     away = (blocks[:, :2] + 0.5) * block_m - transform[:2, 3]
     side = np.floor(np.arctan2(away[:, 1], away[:, 0]) * (4.0 / math.pi)).astype(np.int64) & 7
-    return (1 << side).astype(np.uint8)
+    return ((1 << side) | np.where(doubted, DOUBTED, 0)).astype(np.uint16)
 
 
 def _sorted(name: str, voxels: MemoryStore | VoxelMap, **more: Array) -> dict[str, Array]:
@@ -182,18 +228,18 @@ class _Derived:
 
     def __init__(self, inside: int, fine: MemoryStore, papers: VoxelMap) -> None:
         self._inside, self._fine, self._papers = inside, fine, papers
-        self.sides = np.zeros(0, np.uint8)
+        self.views = np.zeros(0, np.uint16)
         self._store = MemoryStore()
         self._touched: list[Int64] = []
 
-    def touch(self, blocks: Int32, slots: Int64, sides: Array) -> None:
-        """Note that blocks (N, 3) inside, at their slots, have changed, seen from these sides."""
+    def touch(self, blocks: Int32, slots: Int64, views: Array) -> None:
+        """Note that blocks (N, 3) inside, at their slots, have changed, with how they were seen."""
         count = len(self._fine.coords)
-        if count > len(self.sides):
-            grown = np.zeros(count * 5 // 4, np.uint8)
-            grown[: len(self.sides)] = self.sides
-            self.sides = grown
-        self.sides[slots] |= sides
+        if count > len(self.views):
+            grown = np.zeros(count * 5 // 4, np.uint16)
+            grown[: len(self.views)] = self.views
+            self.views = grown
+        self.views[slots] |= views
         self._store.allocate(blocks // self._inside)
         columns = (blocks[:, :2] // self._inside).astype(np.int64)
         self._touched.append(np.unique(columns[:, 0] * _SPAN + columns[:, 1]))
@@ -230,6 +276,6 @@ class _Derived:
             keys = np.unique(np.add.outer(keys, around))
             y = (keys + _SPAN // 2) % _SPAN - _SPAN // 2
             columns = np.column_stack([(keys - y) // _SPAN, y]).astype(np.int32)
-            evidence = Evidence(self._inside, self._fine, self.sides, self._papers)
+            evidence = Evidence(self._inside, self._fine, self.views, self._papers)
             read_off(evidence, self._store, columns, odds_table())
         return self._store

@@ -1,11 +1,12 @@
 """From voxels inside to those of the map: how likely each is part of an object, by a table.
 
 A voxel of the map holds several inside.  What counts is how many of them are free, how many are
-around it, how many lie, without free ones between, at or below one that was lit, and whether any
-around it do, from how many sides it was looked at, and whether the papers' update holds it for
-occupied.  For each such case the table says in which share of all voxels, over objects whose shape
-is known, the voxel belongs to the object, and in which to its surface.  So where few sides were
-seen, and rays cut away too little or too much, the papers' update has its say.
+around it, how many lie, without free ones between, at or below one that was heard before the seabed
+could be, and whether any around it do, from how many sides it was looked at, whether the papers'
+update holds it for occupied, and whether poses were in doubt.  For each such case the table says in
+which share of all voxels, over objects whose shape is known, the voxel belongs to the object, and
+in which to its surface.  So where few sides were seen, and rays cut away too little or too much,
+the papers' update has its say.
 `benchmarks.calibration` learns the table.
 """
 
@@ -21,19 +22,21 @@ import numpy as np
 
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.mapping.store import BLOCK, VOXELS_PER_BLOCK, MemoryStore
-from insonify.mapping.visibility import EVER_LIT, LOOKED_AT
+from insonify.mapping.visibility import HEARD_EARLY, LOOKED_AT
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, SURFACE, VoxelMap
 from insonify.types import Array, Float32, Int32, Int64
 
 FREE = -0.9
 """A voxel inside is free below these log-odds: one ray has passed it."""
-_CLASSES = (9, 6, 3, 3, 2, 2)
+_CLASSES = (9, 6, 3, 3, 2, 2, 2)
 """Of each of these, in this order."""
 CASES = math.prod(_CLASSES)
 _NEAR_EDGES = (0.5 / 8, 2.0 / 8, 3.5 / 8, 5.0 / 8, 6.5 / 8)
 _COVERED_EDGES = (0.5 / 8, 3.5 / 8)
 _SURFACE_SHARE = 0.4
 """Share of a case's voxels from which it counts as surface."""
+DOUBTED = 1 << 8
+"""Bit of a block that was in view from a pose which may be off by half a voxel inside or more."""
 _TABLE = "odds.json"
 
 
@@ -53,13 +56,14 @@ class Evidence:
     Attributes:
         inside: Voxels inside along an edge of one of the map's.
         fine: Voxels inside: log-odds, and the bits of `insonify.mapping.visibility`.
-        sides: (fine blocks or more,) from which of eight sides each block was in view, as bits.
+        views: (fine blocks or more,) from which of eight sides each block was in view, as bits, and
+            whether it is `DOUBTED`.
         papers: The papers' map.
     """
 
     inside: int
     fine: MemoryStore
-    sides: Array
+    views: Array
     papers: VoxelMap
 
 
@@ -90,7 +94,7 @@ def read_off(evidence: Evidence, coarse: MemoryStore, columns: Int32, table: Flo
         np.unique(blocks[:, :2], axis=0),
         index,
         slots,
-        (evidence.fine.log_odds, evidence.fine.seen, evidence.sides),
+        (evidence.fine.log_odds, evidence.fine.seen, evidence.views),
         (evidence.papers.log_odds, evidence.papers.seen),
         inside,
         table,
@@ -108,15 +112,15 @@ def _ones(bits: int) -> int:
 
 @kernel
 def case_of(
-    free: float, near: float, covered: float, sides: int, occupied: bool, beside: bool
+    free: float, near: float, covered: float, views: int, occupied: bool, beside: bool
 ) -> int:
     """Row of the table.
 
     Args:
         free: Share of the voxels inside that are free.
         near: The same over the 27 voxels around.
-        covered: Share that is not free and lies at or below a lit one.
-        sides: From how many of eight sides it was in view.
+        covered: Share that is not free and lies at or below one that was heard early.
+        views: From which of eight sides it was in view, and whether it is `DOUBTED`, as bits.
         occupied: Whether the papers' update holds it for occupied.
         beside: Whether any of the 27 around it has such a share.
     """
@@ -129,8 +133,10 @@ def case_of(
     for edge in _COVERED_EDGES:
         level += covered > edge
     case = case * _CLASSES[2] + level
+    sides = _ones(views)
     case = case * _CLASSES[3] + (sides >= 4) + (sides >= 7)
-    return (case * _CLASSES[4] + occupied) * _CLASSES[5] + beside
+    case = (case * _CLASSES[4] + occupied) * _CLASSES[5] + beside
+    return case * _CLASSES[6] + (views & DOUBTED > 0)
 
 
 @parallel_kernel
@@ -145,7 +151,7 @@ def _read_columns(
     out: tuple[Float32, Array],
 ) -> None:
     """Columns of the map's blocks, each by one iteration, from the top down."""
-    log_odds, seen, sides = fine
+    log_odds, seen, views = fine
     height = slots.shape[3] * BLOCK
     for place in prange(len(places)):
         x, y = places[place]
@@ -172,7 +178,7 @@ def _read_columns(
                             beside |= covered[i + a, j + b, z + c] > 0.0
                 bx, by = (x * BLOCK + i) * inside >> 3, (y * BLOCK + j) * inside >> 3
                 block = index[bx, by, z * inside >> 3]
-                around = _ones(sides[block]) if block >= 0 else 0
+                around = int(views[block]) if block >= 0 else 0
                 occupied = theirs >= 0 and papers[0][theirs, k] > 0.0
                 share = float(near) / 27.0
                 case = case_of(free[i + 1, j + 1, z + 1], share, under, around, occupied, beside)
@@ -216,7 +222,7 @@ def _gather(
                         free[i + 1, j + 1, z + 1] += share
                         under = False
                     here = seen[slot, voxel]
-                    under = under or (here & EVER_LIT > 0 and not is_free)
+                    under = under or (here & HEARD_EARLY > 0 and not is_free)
                     if under:
                         covered[i + 1, j + 1, z + 1] += share
                     if not rim:

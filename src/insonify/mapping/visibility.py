@@ -1,11 +1,15 @@
 """What each voxel of a fan showed in one ping: dark, lit, or perhaps the cause of a shadow.
 
-A ray is cast for each beam and elevation.  A pixel that is dark shows that nothing is at its
-range anywhere in its arc that can be seen; so all that a ray meets is free up to the first voxel
-whose pixel is lit, unless that voxel is known to be free, for then the light is from elsewhere in
-the arc.  The seabed tells more.  Where a ray meets it and it is dark, something of what is lit on
-the ray's way throws a shadow.  Where it is heard, and nothing that throws shadows could be heard in
-its place, the ray went all its way: what it met is free, lit or not.
+A ray is cast for each beam and elevation; near the sonar, where nothing is heard yet, for fewer.  A
+pixel that is dark shows that nothing is at its range anywhere in its arc that can be seen; so all
+that a ray meets is free up to the first voxel whose pixel is lit, unless that voxel is known to be
+free, for then the light is from elsewhere in the arc.  The seabed tells more.  Where a ray meets it
+and it is dark, something of what is lit on the ray's way throws a shadow.  Where it is heard, and
+nothing that throws shadows could be heard in its place, the ray went all its way: what it met is
+free, lit or not.
+
+Before the least range at which a beam's rays come near the seabed, an echo is an object's, and what
+stops a ray there was heard early.  An echo from farther may be the seabed's.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ from insonify.jit import kernel, parallel_kernel, prange
 from insonify.mapping.voxels import BLOCK, VOXELS_PER_BLOCK
 from insonify.types import Array, Bool, Float32, Float64, Int32, Int64
 
-DARK, LIT, SHADOW = 0, 1, 2
+DARK, LIT, SHADOW, EARLY = 0, 1, 2, 3
 """Rows of a ping's marks."""
-LOOKED_AT, EVER_LIT, THROWS_SHADOW = 1, 2, 4
+ROWS = 4
+LOOKED_AT, EVER_LIT, THROWS_SHADOW, HEARD_EARLY = 1, 2, 4, 8
 """Bits of what was seen of a voxel inside."""
 _AROUND = 2
 """Bins to either side of where a ray meets the seabed that are asked whether it is heard."""
@@ -30,6 +35,8 @@ _APART = 4
 """Bins within which another voxel may be what is heard in place of the seabed."""
 _UNCUT = 0.05
 """Log-odds above which a voxel may throw shadows: lit so far, and never seen to be free."""
+_EARLY_M = 0.12
+"""An echo from so far before the ranges at which the seabed can be heard is not the seabed's."""
 _NEVER_M = 1e30
 _CHORD = 0.5
 """Of a voxel's edge: a ray that crosses less of it does not show that it is free."""
@@ -39,12 +46,16 @@ _PASSES, _STOPS, _GRAZES, _SHADES = 1, 2, 4, 8
 
 
 @kernel
-def count_pixels(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
+def count_pixels(
+    image: Float32, threshold: np.float32, along: int, aside: int
+) -> tuple[Int32, Int32]:
     """Running counts, from the first bin, of pixels that may be echoes and of those that are.
 
     Args:
         image: (bins, beams) in [0, 1]; not a number where nothing is known.
         threshold: Brighter pixels are echoes.
+        along: A pixel so many bins from an echo may be one.
+        aside: And one so many beams from it.
 
     Returns:
         Two of (beams, bins + 1); unknown pixels count in the first alone.
@@ -57,7 +68,24 @@ def count_pixels(image: Float32, threshold: np.float32) -> tuple[Int32, Int32]:
             pixel = image[cell, beam]
             maybe[beam, cell + 1] = maybe[beam, cell] + (not pixel <= threshold)
             surely[beam, cell + 1] = surely[beam, cell] + (pixel > threshold)
+    if along or aside:
+        maybe = _widened(maybe, along, aside)
     return maybe, surely
+
+
+@kernel
+def _widened(counts: Int32, along: int, aside: int) -> Int32:
+    """Running counts of pixels with one that counts within some bins and beams of them."""
+    beams, bins = counts.shape[0], counts.shape[1] - 1
+    wide = np.zeros_like(counts)
+    for beam in range(beams):
+        for cell in range(bins):
+            first, last = max(cell - along, 0), min(cell + along + 1, bins)
+            found = False
+            for near in range(max(beam - aside, 0), min(beam + aside + 1, beams)):
+                found |= counts[near, last] > counts[near, first]
+            wide[beam, cell + 1] = wide[beam, cell] + found
+    return wide
 
 
 @parallel_kernel
@@ -94,7 +122,7 @@ def look(
         seabed: (nx, ny) its height under the box's columns, metres, whether that is certain
             enough to judge shadows by, and how far above it rays end.
         known_free: Voxels below these log-odds are known to be free.
-        marks: (3, blocks, 512) uint8, written: DARK, LIT and SHADOW.
+        marks: (ROWS, blocks, 512) uint8, written: DARK, LIT, SHADOW and EARLY.
     """
     azimuths, elevations = angles
     maybe, surely = counts
@@ -108,6 +136,7 @@ def look(
         for y in range(heights.shape[1]):
             top_m = max(heights[x, y] + zone_m, -1e6)
             floors[x, y] = math.ceil(top_m / voxel_m - 0.5) - first[2] * BLOCK
+    sooner = int(_EARLY_M / bin_m)
     parts = (len(azimuths) + _RAYS - 1) // _RAYS
     for part in prange(parts):
         met = np.empty((len(elevations), longest), np.int64)
@@ -118,20 +147,44 @@ def look(
         for ray in range(part * _RAYS, min((part + 1) * _RAYS, len(azimuths))):
             beam = min(int((fan[0] - azimuths[ray]) / fan[3]), beams - 1)
             rivals[:] = 0
+            early, quiet_m = bins, _quiet_m(maybe[beam], range_min_m, bin_m)
             for e in range(len(elevations)):
-                steps[e], meets[e] = _walk(
+                start_m = min(quiet_m - voxel_m, max(_thinned(e), _thinned(ray)) * range_max_m)
+                steps[e], meets[e], reaches = _walk(
                     index, first, slots, log_odds, seen, transform, azimuths[ray], elevations[e],
-                    voxel_m, maybe[beam], range_min_m, bin_m, range_max_m, heights, certain,
-                    floors, known_free, met[e], cells[e], rivals, marks,
+                    max(start_m, range_min_m, 1e-3), voxel_m, maybe[beam], range_min_m, bin_m,
+                    range_max_m, heights, certain, floors, known_free, met[e], cells[e], rivals,
+                    marks,
                 )  # fmt: skip
                 silent = meets[e] >= 0 and (
                     maybe[beam, meets[e] + _AROUND + 1] == maybe[beam, meets[e] - _AROUND]
                 )
+                early = min(early, reaches - sooner)
                 if silent:
                     _throw(met[e], cells[e], steps[e], marks, rivals)
             for e in range(len(elevations)):
                 through = meets[e] >= 0 and _seabed_heard(surely, rivals, beam, meets[e])
-                _mark(met[e], steps[e], through, marks)
+                _mark(met[e], cells[e], steps[e], through, early, marks)
+
+
+@kernel
+def _quiet_m(maybe: Int32, range_min_m: float, bin_m: float) -> float:
+    """Range up to which nothing is heard in a beam."""
+    cell = 0
+    while cell < len(maybe) - 1 and maybe[cell + 1] == 0:
+        cell += 1
+    return range_min_m + cell * bin_m
+
+
+@kernel
+def _thinned(number: int) -> float:
+    """Share of the range at which the rays of a number are first needed to leave out no voxel."""
+    if number == 0:
+        return 0.0
+    share = 0.5
+    while number & 1 == 0:
+        number, share = number >> 1, share * 0.5
+    return share
 
 
 @kernel
@@ -144,7 +197,7 @@ def _throw(met: Int64, cells: Int32, count: int, marks: Array, rivals: Array) ->
 
 
 @kernel
-def _mark(met: Int64, count: int, through: bool, marks: Array) -> None:
+def _mark(met: Int64, cells: Int32, count: int, through: bool, early: int, marks: Array) -> None:
     """Mark what a ray shows, up to the first voxel that stops it."""
     for s in range(count):
         block, voxel = met[s] >> 13, (met[s] >> 4) & 511
@@ -154,6 +207,8 @@ def _mark(met: Int64, count: int, through: bool, marks: Array) -> None:
         else:
             marks[LIT, block, voxel] = 1
             if met[s] & _STOPS:
+                if cells[s] < early:
+                    marks[EARLY, block, voxel] = 1
                 break
 
 
@@ -179,6 +234,7 @@ def _walk(
     transform: Float64,
     azimuth: float,
     elevation: float,
+    start_m: float,
     voxel_m: float,
     maybe: Int32,
     range_min_m: float,
@@ -192,28 +248,28 @@ def _walk(
     cells: Int32,
     rivals: Array,
     marks: Array,
-) -> tuple[int, int]:
+) -> tuple[int, int, int]:
     """Walk a ray through the voxels of a box down to the seabed or the end of the range.
 
     Of each voxel its row in ``marks``, its place in the block and its kind are written as bits of
-    ``met``, and the bin of one that may throw a shadow; one that did before is a rival of its bins.
+    ``met``, and the bin of one that may stop it; one that threw a shadow before is a rival of its
+    bins.
 
     Returns:
-        Number of voxels, and the bin at which the ray meets a seabed that is certain, if the image
-        holds the bins around it; -1 if not.
+        Number of voxels; the bin at which the ray meets a seabed that is certain, if the image
+        holds the bins around it, -1 if not; and the bin at which it comes near any seabed.
     """
     bins = len(maybe) - 1
     flat, up = math.cos(elevation), math.sin(elevation)
     ahead, aside = flat * math.cos(azimuth), flat * math.sin(azimuth)
-    start = max(range_min_m, 1e-3)
     dx = transform[0, 0] * ahead + transform[0, 1] * aside + transform[0, 2] * up
     dy = transform[1, 0] * ahead + transform[1, 1] * aside + transform[1, 2] * up
     dz = transform[2, 0] * ahead + transform[2, 1] * aside + transform[2, 2] * up
-    x, step_x, next_x, each_x = _first_plane(transform[0, 3], dx, start, voxel_m, first[0])
-    y, step_y, next_y, each_y = _first_plane(transform[1, 3], dy, start, voxel_m, first[1])
-    z, step_z, next_z, each_z = _first_plane(transform[2, 3], dz, start, voxel_m, first[2])
+    x, step_x, next_x, each_x = _first_plane(transform[0, 3], dx, start_m, voxel_m, first[0])
+    y, step_y, next_y, each_y = _first_plane(transform[1, 3], dy, start_m, voxel_m, first[1])
+    z, step_z, next_z, each_z = _first_plane(transform[2, 3], dz, start_m, voxel_m, first[2])
     count, per_m = 0, 1.0 / bin_m
-    entry, cell = start, int((start - range_min_m) * per_m)
+    entry, cell = start_m, int((start_m - range_min_m) * per_m)
     bx, by, bz = -1, -1, -1
     row, slot, floor = -1, -1, 0
     grazing = _CHORD * voxel_m
@@ -235,16 +291,16 @@ def _walk(
                     marks[LIT, row, voxel] = 1
                 meets = int(((heights[bx, by] - transform[2, 3]) / dz - range_min_m) * per_m)
                 if certain[bx, by] and _AROUND <= meets < bins - _AROUND:
-                    return count, meets
-                return count, -1
+                    return count, meets, cell
+                return count, -1, cell
             kind = _GRAZES * (leave - entry < grazing)
             if not lit:
                 kind |= _PASSES
             elif not log_odds[slot, voxel] < known_free:
                 kind |= _STOPS
+                cells[count] = cell
                 if log_odds[slot, voxel] > _UNCUT:
                     kind |= _SHADES
-                    cells[count] = cell
                     if seen[slot, voxel] & THROWS_SHADOW:
                         for c in range(cell, last + 1):
                             rivals[c] = 1
@@ -256,7 +312,7 @@ def _walk(
         x, next_x = x + step_x * over_x, next_x + each_x * over_x
         y, next_y = y + step_y * over_y, next_y + each_y * over_y
         z, next_z = z + step_z * over_z, next_z + each_z * over_z
-    return count, -1
+    return count, -1, bins
 
 
 @kernel
@@ -274,7 +330,9 @@ def _first_plane(
 
 
 @parallel_kernel
-def vote(slots: Int64, log_odds: Float32, seen: Array, marks: Array, votes: Float32) -> None:
+def vote(
+    slots: Int64, log_odds: Float32, seen: Array, marks: Array, votes: Float32, limits: Float32
+) -> None:
     """Add a ping's marks to the map, one vote a voxel, and wipe them.
 
     Args:
@@ -282,18 +340,22 @@ def vote(slots: Int64, log_odds: Float32, seen: Array, marks: Array, votes: Floa
         log_odds: (slots, 512); ``seen`` likewise.
         seen: Bits.
         marks: See `look`.
-        votes: Of a dark voxel, of a lit one, and the least and greatest log-odds.
+        votes: (slots, 2) of a dark voxel and of a lit one.
+        limits: The least and greatest log-odds.
     """
     for i in prange(len(slots)):
+        if not marks[:, i].any():
+            continue
         cells, bits = log_odds[slots[i]], seen[slots[i]]
-        for k in range(VOXELS_PER_BLOCK):
-            if marks[SHADOW, i, k]:
-                bits[k] |= THROWS_SHADOW
-            if marks[LIT, i, k]:
-                cells[k] = min(cells[k] + votes[1], votes[3])
-                bits[k] |= LOOKED_AT | EVER_LIT
-            elif marks[DARK, i, k]:
-                cells[k] = max(cells[k] + votes[0], votes[2])
-                bits[k] |= LOOKED_AT
-            for m in range(3):
-                marks[m, i, k] = 0
+        for k in range(VOXELS_PER_BLOCK):  # without branches, so that it vectorises
+            lit, dark = marks[LIT, i, k], marks[DARK, i, k]
+            louder = min(cells[k] + votes[i, 1], limits[1])
+            quieter = max(cells[k] + votes[i, 0], limits[0])
+            cells[k] = louder if lit else (quieter if dark else cells[k])
+            bits[k] |= (
+                (lit | dark) * LOOKED_AT
+                | lit * EVER_LIT
+                | marks[SHADOW, i, k] * THROWS_SHADOW
+                | marks[EARLY, i, k] * HEARD_EARLY
+            )
+        marks[:, i] = 0

@@ -25,6 +25,7 @@ from insonify.mission.setup import Config, scenario_config
 from insonify.planning.factory import FIXED_PLANS
 from insonify.plugins import is_plugin, load_plugin
 from insonify.vehicle.description import vehicle_named
+from insonify.vehicle.instruments import PoseNoiseSettings
 from insonify.vehicle.settings import TELEPORT
 
 FIRST = "entropy"
@@ -63,8 +64,10 @@ class CampaignSettings(Settings):
     scenarios: tuple[str, ...] = Field(min_length=1, description="see: insonify scenarios")
     planners: tuple[str, ...] = Field((), description="by name, or your own: module:Name")
     mappers: tuple[str, ...] = Field((), description="by name, or your own: module:Name")
-    navigation: tuple[Literal["none", "truth", "dvl"], ...] = Field(
-        (), description="none: no vehicle; truth, dvl: of the vehicle that the settings name"
+    navigation: tuple[Literal["none", "noise", "truth", "dvl"], ...] = Field(
+        (),
+        description="none, noise: no vehicle, and poses that are off by vehicle.pose_noise; "
+        "truth, dvl: of the vehicle that the settings name",
     )
     sonars: tuple[str, ...] = Field((), description="see: insonify sonars")
     models: tuple[str, ...] = Field((), description="cerqueira, physical")
@@ -160,6 +163,8 @@ def _config(campaign: CampaignSettings, chosen: tuple[str | None, ...]) -> Confi
     own = [campaign.set_for[name] for name in chosen if name in campaign.set_for]
     above: list[Table] = []
     if navigation == "none":
+        above = [{"vehicle": {"name": TELEPORT, "pose_noise": PoseNoiseSettings().model_dump()}}]
+    elif navigation == "noise":
         above = [{"vehicle": {"name": TELEPORT}}]
     elif navigation is not None:
         above = [{"vehicle": {"navigation": navigation}}]
@@ -168,6 +173,11 @@ def _config(campaign: CampaignSettings, chosen: tuple[str | None, ...]) -> Confi
         raise ConfigError(
             f"navigation {navigation!r} needs a vehicle; give set.vehicle.name, as in "
             '[set.vehicle] name = "bluerov2"'
+        )
+    if navigation == "noise" and not config.vehicle.is_noisy:
+        raise ConfigError(
+            "navigation 'noise' needs poses that are off; give some, as in "
+            "[set.vehicle.pose_noise] position_m = 0.05"
         )
     return config
 
@@ -218,12 +228,13 @@ def _check_names(found: Iterable[Chain]) -> None:
 
 def factors(config: Config) -> dict[str, Any]:
     """What a run is known by in tables, with the keys of `FACTORS`."""
-    flown = config.vehicle.name != TELEPORT
+    vehicle = config.vehicle
+    believed = "noise" if vehicle.is_noisy else "none"
     return {
         "scenario": config.scenario,
         "sonar": config.sonar.name,
         "model": config.model,
-        "navigation": config.vehicle.navigation if flown else "none",
+        "navigation": believed if vehicle.name == TELEPORT else vehicle.navigation,
         "mapper": config.mapper,
         "planner": config.planner,
         "seed": config.seed,

@@ -106,20 +106,23 @@ def fly(carrier: Carrier, mapper: Mapper, planner: Planner) -> Iterator[Step]:
 
 
 class Teleport:
-    """No vehicle: the sonar is at each waypoint in turn, exactly (a `Carrier`)."""
+    """No vehicle: the sonar is at each waypoint in turn (a `Carrier`)."""
 
     def __init__(
         self,
-        insonify: Callable[[Pose], Ping],
+        insonify: Callable[[Pose, Pose], Ping],
         first_collision: Callable[[ScanPath], Pose | None],
+        believe: Callable[[Pose], Pose] = lambda pose: pose,
     ) -> None:
         """Begin nowhere.
 
         Args:
-            insonify: The sonar in its world: one ping from a vehicle pose.
+            insonify: The sonar in its world: one ping from a true pose; the believed one is for
+                its records.
             first_collision: The world's answer to a path: where it would hit something, or None.
+            believe: What a true pose is taken for.
         """
-        self._insonify, self._first_collision = insonify, first_collision
+        self._insonify, self._first_collision, self._believe = insonify, first_collision, believe
         self._pose: Pose | None = None
 
     def carry(self, path: ScanPath, voxels: VoxelMap) -> Iterator[PosedPing | StopReason]:
@@ -136,7 +139,8 @@ class Teleport:
             yield StopReason.OBSTACLE
             return
         for pose in path.waypoints:
-            yield PosedPing(self._insonify(pose), pose, pose)
+            believed = self._believe(pose)
+            yield PosedPing(self._insonify(pose, believed), believed, pose)
         self._pose = path.waypoints[-1]
 
 

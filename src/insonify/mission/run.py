@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -41,6 +42,7 @@ from insonify.seeds import Stream, generator
 from insonify.types import Float32, Ping, Pose, PosedPing, ScanPath, StopReason
 from insonify.vehicle.craft import Track, pose_errors
 from insonify.vehicle.description import vehicle_named
+from insonify.vehicle.instruments import doubtful
 from insonify.vehicle.settings import TELEPORT
 from insonify.vehicle.voyage import Surroundings, Voyage
 
@@ -262,8 +264,14 @@ def _carrier(
     clearance_m = config.survey.clearance_m
     if config.vehicle.name == TELEPORT:
         return Teleport(
-            lambda pose: insonify(pose, pose),
+            insonify,
             lambda path: scene.first_collision(path, clearance_m),
+            partial(doubtful, config.vehicle.pose_noise, generator(config.seed, Stream.POSES)),
+        )
+    if config.vehicle.is_noisy:
+        raise ConfigError(
+            f"vehicle.pose_noise is for scans without a vehicle; {config.vehicle.name!r} believes "
+            "what its navigation tells it, so leave it out"
         )
     vehicle = vehicle_named(config.vehicle.name)
     surroundings = Surroundings(insonify, ray_query(scene), hull_contact(scene, vehicle.radius_m))

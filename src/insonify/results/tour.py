@@ -116,7 +116,15 @@ class _SonarWriter:
         self._raw = folder / f".{mounted.name}.raw"
         self._images = self._raw.open("wb")
         self._numbers: dict[str, list[Any]] = {
-            name: [] for name in ("time_s", "head_rad", "true_pose", "estimated_pose", "mount")
+            name: []
+            for name in (
+                "time_s",
+                "head_rad",
+                "true_pose",
+                "estimated_pose",
+                "estimated_std",
+                "mount",
+            )
         }
         self._geometry: FanGeometry | None = None
         self._turn: list[TourPing] = []
@@ -131,6 +139,8 @@ class _SonarWriter:
         numbers["head_rad"].append(ping.head_rad)
         numbers["true_pose"].append(_six(one.posed.true_pose))
         numbers["estimated_pose"].append(_six(one.posed.pose))
+        assert one.posed.pose is not None
+        numbers["estimated_std"].append(one.posed.pose.std)
         numbers["mount"].append(_six(ping.geometry.mount))
         if self._scanning:
             self._turn.append(one)
@@ -194,4 +204,4 @@ class _SonarWriter:
 
 def _six(pose: Pose | None) -> list[float]:
     assert pose is not None
-    return [*pose.position_m, pose.roll_rad, pose.pitch_rad, pose.yaw_rad]
+    return [*pose.numbers]

@@ -7,8 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from insonify.frames import pose_from_attitude, rotation_from_attitude, wrapped
-from insonify.types import Float64, Pose, StopReason
+from insonify.frames import (
+    pose_from_attitude,
+    rotation_from_attitude,
+    std_from_covariance,
+    wrapped,
+)
+from insonify.types import Float64, Pose, StopReason, estimated
 from insonify.vehicle.autopilot.control import Controller, Motion
 from insonify.vehicle.autopilot.estimator import Estimator
 from insonify.vehicle.autopilot.guidance import Follower
@@ -157,6 +162,13 @@ class Craft:
     def believed_pose(self) -> Pose:
         """Where it believes it is."""
         return self.true_pose if self.estimator is None else self.estimator.pose
+
+    @property
+    def estimated_pose(self) -> Pose:
+        """The believed pose with how far it may be off; without under perfect navigation."""
+        if self.covariance is None:
+            return self.believed_pose
+        return estimated(self.believed_pose, std_from_covariance(self.covariance))
 
     @property
     def covariance(self) -> Float64 | None:

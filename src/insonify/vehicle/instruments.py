@@ -15,12 +15,28 @@ from pydantic import Field
 
 from insonify.config.settings import Settings
 from insonify.frames import directions_from_angles
-from insonify.types import Float32, Float64
+from insonify.types import Float32, Float64, Pose, estimated
 from insonify.vehicle.description import Vector
 
 RayQuery = Callable[[Float64, Float32], tuple[Float64, Float64]]
 """The world's answer to rays (origin (3,), unit directions (N, 3)): range in metres (N,), infinite
 where nothing is met, and the cosine of the angle to the normal of what is (N,)."""
+
+
+class PoseNoiseSettings(Settings):
+    """How far poses are off without a vehicle, each ping's by itself; the mapper is told so."""
+
+    position_m: float = Field(0.0, ge=0, le=10, description="standard deviation of each coordinate")
+    attitude_deg: float = Field(0.0, ge=0, le=45, description="and of roll, pitch and yaw")
+
+
+def doubtful(noise: PoseNoiseSettings, rng: np.random.Generator, pose: Pose) -> Pose:
+    """What a pose is taken for, with how far it may be off."""
+    std = noise.position_m, math.radians(noise.attitude_deg)
+    if not any(std):
+        return pose
+    off = rng.standard_normal(6) * np.repeat(std, 3)
+    return estimated(Pose(*(np.array(pose.numbers) + off).tolist()), std)
 
 
 class ImuSettings(Settings):

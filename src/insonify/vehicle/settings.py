@@ -9,7 +9,7 @@ from pydantic import Field
 from insonify.config.settings import Settings
 from insonify.vehicle.autopilot.control import ControlSettings
 from insonify.vehicle.autopilot.guidance import GuidanceSettings
-from insonify.vehicle.instruments import SensorSettings
+from insonify.vehicle.instruments import PoseNoiseSettings, SensorSettings
 from insonify.vehicle.plant.currents import CurrentSettings
 
 TELEPORT = "none"
@@ -33,6 +33,7 @@ class VehicleSettings(Settings):
     navigation: Literal["truth", "dvl"] = Field(
         "dvl", description="where it believes it is: the truth, or a filter on its sensors"
     )
+    pose_noise: PoseNoiseSettings = PoseNoiseSettings()
     ping_hz: float = Field(2.0, gt=0, le=20, description="the sonar's rate")
     lost_m: float = Field(
         2.0, gt=0, le=1000, description="stop when the position's standard deviation exceeds it"
@@ -43,3 +44,8 @@ class VehicleSettings(Settings):
     control: ControlSettings = ControlSettings()
     sensors: SensorSettings = SensorSettings()
     fault: FaultSettings = FaultSettings()
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether poses are off without a vehicle."""
+        return self.pose_noise != PoseNoiseSettings()

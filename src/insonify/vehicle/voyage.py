@@ -144,7 +144,7 @@ class Voyage:
                 return
             if scanning and self._pings.due(craft.time_s) and not craft.failed("sonar"):
                 heard_s, pinged = craft.time_s, True
-                true, believed = craft.true_pose, craft.believed_pose
+                true, believed = craft.true_pose, craft.estimated_pose
                 ping = replace(self._world.insonify(true, believed), time_s=craft.time_s)
                 yield PosedPing(ping, believed, true)
             if scanning and craft.time_s - heard_s > _SILENT_PINGS / self.settings.ping_hz:

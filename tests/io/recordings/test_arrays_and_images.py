@@ -196,6 +196,15 @@ def test_poses_turn_evenly_between_samples(rng: np.random.Generator) -> None:
     assert track.at(-0.1) is None and track.at(3.1) is None
 
 
+def test_between_samples_poses_are_off_by_what_lies_between() -> None:
+    rows = np.column_stack([[0.0, 1.0], np.zeros((2, 6)), np.ones(2)])
+    track = PoseTrack(rows, std=np.array([[0.1, 0.0], [0.3, 0.02]]))
+    for time_s, std in ((0.0, (0.1, 0.0)), (0.25, (0.15, 0.005)), (1.0, (0.3, 0.02))):
+        pose = track.at(time_s)
+        assert pose is not None
+        assert pose.std == pytest.approx(std)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -17,7 +17,7 @@ from insonify.frames import (
     slerp,
     transform_from_pose,
 )
-from insonify.types import Float64, Pose
+from insonify.types import Float64, Pose, estimated
 
 MOST_POSE_FILE_BYTES = 1 << 30
 
@@ -32,7 +32,9 @@ class PoseTrack:
         max_gap_s: Two poses further apart say nothing of the time between them.
     """
 
-    def __init__(self, rows: Float64, max_gap_s: float | None = None) -> None:
+    def __init__(
+        self, rows: Float64, max_gap_s: float | None = None, std: Float64 | None = None
+    ) -> None:
         """From rows (N, 8): seconds, x, y, z in metres, quaternion x, y, z, w.
 
         Args:
@@ -40,6 +42,7 @@ class PoseTrack:
             max_gap_s: By default five times the median time from pose to pose, a second at least;
                 and then there is no pose either where the vehicle jumps, at five times its median
                 speed and 5 m/s at least.
+            std: (N, 2) how far each may be off, see `Pose.std`.
 
         Raises:
             ValueError: A number is not finite, a quaternion has no length, or time goes back.
@@ -54,6 +57,7 @@ class PoseTrack:
             )
         if (np.diff(rows[:, 0]) < 0).any():
             raise ValueError("its times go back")
+        self._std = np.zeros((len(rows), 2)) if std is None else std
         self._rows = rows.copy()
         self._rows[:, 4:] /= lengths[:, None]
         steps = np.diff(rows[:, 0])
@@ -86,7 +90,8 @@ class PoseTrack:
 
     def sample(self, number: int) -> Pose:
         """The pose of a row."""
-        return pose_from_quaternion(self._rows[number, 1:4], self._rows[number, 4:])
+        row = self._rows[number]
+        return estimated(pose_from_quaternion(row[1:4], row[4:]), self._std[number])
 
     def at(self, time_s: float) -> Pose | None:
         """The pose at a time; None before the first, after the last, in a long gap or a jump."""
@@ -103,7 +108,8 @@ class PoseTrack:
             return None
         share = float((time_s - start[0]) / (end[0] - start[0]))
         position = (1.0 - share) * start[1:4] + share * end[1:4]
-        return pose_from_quaternion(position, slerp(start[4:], end[4:], share))
+        std = (1.0 - share) * self._std[after - 1] + share * self._std[after]
+        return estimated(pose_from_quaternion(position, slerp(start[4:], end[4:], share)), std)
 
 
 def _fastest(rows: Float64) -> float:

@@ -19,7 +19,7 @@ from insonify.io.recordings.recording import (
     refuse_beams,
     refuse_scale,
 )
-from insonify.types import FanGeometry, Ping, Pose, PosedPing
+from insonify.types import FanGeometry, Ping, Pose, PosedPing, estimated
 
 PINGS = "pings"
 
@@ -78,6 +78,9 @@ def read_tour(path: Path, reading: Reading) -> Recording:
         tables = {name: arrays[name] for name in ("estimated_pose", "true_pose", "mount")}
         if any(table.shape != (count, 6) for table in tables.values()) or len(times) != count:
             raise ValueError("its tables are not of one length")
+        std = arrays.get("estimated_std", np.zeros((count, 2)))  # not told by version 0.1
+        if std.shape != (count, 2):
+            raise ValueError("its tables are not of one length")
     except (*DAMAGE, KeyError) as err:
         raise RecordingError(f"{path}: damaged ({reason(err)})") from err
     refuse_scale(path, reading)
@@ -91,7 +94,8 @@ def read_tour(path: Path, reading: Reading) -> Recording:
             image = np.ascontiguousarray(images[number], np.float32)
             head_rad = float(arrays["head_rad"][number])
             ping = Ping(image, fan, float(times[number]), head_rad)
-            yield corrected(PosedPing(ping, pose, true), reading)
+            posed = PosedPing(ping, estimated(pose, std[number]), true)
+            yield corrected(posed, reading)
 
     facts = {
         "poses": f"{count}, as the vehicle believed",

@@ -6,7 +6,6 @@ port on the left.  Masks are COCO's run-length encoding: runs of 0 and 1 by turn
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import json
 import math
@@ -64,7 +63,7 @@ def row(shot: Shot) -> dict[str, Any]:
     numbers = category_pixels(shot.truth)
     bins, beams = numbers.shape
     return {
-        "pose": dataclasses.astuple(shot.posed.pose),
+        "pose": shot.posed.pose.numbers,
         "size": [bins, beams],
         "masks": [
             {"category_id": int(k)} | _annotation(numbers == k) for k in np.unique(numbers) if k

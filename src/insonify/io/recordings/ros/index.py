@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
+from insonify.frames import std_from_covariance
 from insonify.io.recordings.poses import is_pose
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import FrameTree, pose_row, stamp_ns
@@ -24,7 +27,8 @@ class Index:
     Attributes:
         counts: Messages of each topic and its type.
         sonars: Topics of pings and what they are.
-        tracks: Rows of time and pose of each topic of poses.
+        tracks: Rows of time and pose of each topic of poses, and ``spreads`` how far each may be
+            off, see `Pose.std`.
         posed: The frame that each of them poses, and ``worlds`` the one it is posed in.
         states: PingStates by stamp.
         links: Messages of TF with their topics.
@@ -37,6 +41,7 @@ class Index:
     counts: dict[tuple[str, str], int] = field(default_factory=dict)
     sonars: dict[str, str] = field(default_factory=dict)
     tracks: dict[str, list[list[float]]] = field(default_factory=dict)
+    spreads: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     posed: dict[str, str] = field(default_factory=dict)
     worlds: dict[str, str] = field(default_factory=dict)
     states: dict[int, Any] = field(default_factory=dict)
@@ -97,7 +102,9 @@ def index_of(bag: Bag, max_gap_s: float | None) -> Index:
 
 def _note_pose(index: Index, message: BagMessage, decoded: Any) -> None:
     pose = decoded.pose
+    spread = (0.0, 0.0)
     while hasattr(pose, "pose"):
+        spread = std_from_covariance(np.reshape(pose.covariance, (6, 6)))
         pose = pose.pose
     time_s = (stamp_ns(decoded.header) or message.time_ns) * 1e-9
     row = [float(number) for number in (time_s, *pose_row(pose))]
@@ -105,5 +112,6 @@ def _note_pose(index: Index, message: BagMessage, decoded: Any) -> None:
         index.no_poses[message.topic] = index.no_poses.get(message.topic, 0) + 1
         return
     index.tracks.setdefault(message.topic, []).append(row)
+    index.spreads.setdefault(message.topic, []).append(spread)
     index.worlds[message.topic] = str(decoded.header.frame_id)
     index.posed[message.topic] = str(getattr(decoded, "child_frame_id", ""))

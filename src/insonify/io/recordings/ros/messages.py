@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from insonify.frames import quaternion_from_rotation, transform_from_pose
-from insonify.types import Array, FanGeometry, Float64, Ping, Pose
+from insonify.types import Array, FanGeometry, Float64, Ping, Pose, estimated
 from insonify.vehicle.craft import DvlReading
 from insonify.vehicle.instruments import DvlSettings, ImuSettings, beam_directions
 
@@ -99,6 +99,9 @@ uint32 bins
 # state of the noise's generator after the ping (NumPy's PCG64): state and increment, high word
 # first, then what is left of a half-used draw; empty if the noise is not of a generator
 uint64[] generator
+# how far the pose may be off, standard deviations: position (m) and attitude (rad), each in the
+# direction that is known least; 0 where it is exact, or nobody says
+float64[2] pose_std
 """,
 }
 
@@ -179,11 +182,6 @@ def polar_picture(ping: Ping, time_ns: int, frame: str) -> Any:
     )
 
 
-def numbers_from_pose(pose: Pose) -> Float64:
-    """x, y, z, roll, pitch, yaw, (6,)."""
-    return np.array([*pose.position_m, pose.roll_rad, pose.pitch_rad, pose.yaw_rad])
-
-
 def words_from_generator(generator: np.random.Generator) -> Array:
     """The state of a PCG64 as six words; none of any other generator."""
     state = generator.bit_generator.state
@@ -213,9 +211,9 @@ def ping_state(
     return new(
         "insonify_msgs/PingState",
         header=header(time_ns, frame),
-        pose=numbers_from_pose(pose),
-        truth=numbers_from_pose(truth),
-        mount=numbers_from_pose(geometry.mount),
+        pose=np.array(pose.numbers),
+        truth=np.array(truth.numbers),
+        mount=np.array(geometry.mount.numbers),
         azimuth_fov_rad=geometry.azimuth_fov_rad,
         elevation_fov_rad=geometry.elevation_fov_rad,
         range_min_m=geometry.range_min_m,
@@ -223,7 +221,14 @@ def ping_state(
         beams=geometry.beams,
         bins=geometry.bins,
         generator=generator,
+        pose_std=np.array(pose.std),
     )
+
+
+def pose_from_state(state: Any) -> Pose:
+    """The pose that a PingState tells, to the last bit."""
+    # recordings of version 0.1 do not tell how far it may be off
+    return estimated(Pose(*map(float, state.pose)), getattr(state, "pose_std", (0.0, 0.0)))
 
 
 def geometry_from_state(state: Any) -> FanGeometry:
@@ -266,10 +271,10 @@ def odometry(
         time_ns: When.
         frame: Where to.
         velocity: (6,) m/s and rad/s, of base_link in its own frame; zero if it is not known.
-        covariance: (6, 6) of position and attitude; zero if it is not known.
+        covariance: (6, 6) of position and attitude; by default of the pose's own deviations.
     """
     v = np.zeros(6) if velocity is None else velocity
-    spread = np.zeros((6, 6)) if covariance is None else covariance
+    spread = np.diag(np.repeat(pose.std, 3) ** 2) if covariance is None else covariance
     twist = new("geometry_msgs/Twist", linear=vector(*v[:3]), angular=vector(*v[3:]))
     flat = np.ascontiguousarray(spread, np.float64).reshape(-1)
     return new(

@@ -19,7 +19,7 @@ from insonify.io.recordings.recording import (
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import stamp_ns
 from insonify.io.recordings.ros.index import Index, index_of, namespace
-from insonify.io.recordings.ros.messages import geometry_from_state
+from insonify.io.recordings.ros.messages import geometry_from_state, pose_from_state
 from insonify.io.recordings.ros.pings import PingDecoder
 from insonify.io.recordings.ros.whereabouts import Whereabouts, whereabouts
 from insonify.types import Array, Ping, Pose, PosedPing
@@ -127,7 +127,7 @@ def _recorded(
         if pixels.shape != (geometry.bins, geometry.beams):
             raise ValueError(f"a state of {geometry.bins} x {geometry.beams} pixels is not its own")
         image = unit_pixels(pixels, reading.full_scale)
-        pose, truth = (Pose(*map(float, six)) for six in (state.pose, state.truth))
+        pose, truth = pose_from_state(state), Pose(*map(float, state.truth))
         return corrected(PosedPing(Ping(image, geometry, time_s), pose, truth), reading)
     at_s = time_s + reading.clock_offset_s
     mount = poses.mount

@@ -22,7 +22,7 @@ from insonify.io.recordings.poses import PoseTrack
 from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros.bags import Bag
 from insonify.io.recordings.ros.index import KINDS, Index, namespace
-from insonify.types import Float64, Pose
+from insonify.types import Float64, Pose, estimated
 
 _WANTED = ("goal", "target", "setpoint", "desired", "reference", "cmd")
 """In topics that tell where a vehicle should be, not where it is."""
@@ -77,7 +77,7 @@ class Whereabouts:
         pose = self.track.at(time_s)
         if pose is None or (self.world is None and self.turn is None):
             return pose
-        return self.in_our_axes(transform_from_pose(pose))
+        return estimated(self.in_our_axes(transform_from_pose(pose)), pose.std)
 
 
 def whereabouts(bag: Bag, index: Index, sonar: str, reading: Reading) -> Whereabouts:
@@ -150,9 +150,10 @@ def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
 def _tracked(
     bag: Bag, index: Index, frame: str, topic: str, why: str, reading: Reading
 ) -> Whereabouts:
-    rows = np.array(index.tracks[topic])
+    rows, std = np.array(index.tracks[topic]), np.array(index.spreads[topic])
+    order = np.argsort(rows[:, 0], kind="stable")
     try:
-        track = PoseTrack(rows[np.argsort(rows[:, 0], kind="stable")], reading.max_gap_s)
+        track = PoseTrack(rows[order], reading.max_gap_s, std[order])
     except ValueError as err:
         raise RecordingError(f"{bag.path}: {topic}: {err}") from err
     base = index.posed[topic] or "base_link"
