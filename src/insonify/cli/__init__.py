@@ -25,6 +25,7 @@ from insonify.cli import campaigns
 from insonify.cli import recordings
 from insonify.cli import checks
 from insonify.cli import views
+from insonify.cli import explanations
 from insonify.cli import reports
 from insonify.cli import plans
 from insonify.cli import simulation
@@ -44,6 +45,7 @@ __all__ = [
     "comparisons",
     "configs",
     "datasets",
+    "explanations",
     "exports",
     "listings",
     "main",

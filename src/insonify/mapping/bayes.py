@@ -16,9 +16,10 @@ import numpy as np
 from insonify.frames import world_from_sonar
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.mapping.fan import blocks_in_fan, fan_vector
-from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.mapper import MappingSettings, Shown
 from insonify.mapping.sight import before_the_first_occupied
 from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
+from insonify.mapping.witness import Witness
 from insonify.types import Array, FanGeometry, Float32, Float64, Int32, Int64, Ping, Pose
 
 
@@ -66,6 +67,16 @@ class BayesMapper:
             first,
             self._evidence,
         )
+
+    def explain(self, ping: Ping, pose: Pose, voxel: tuple[int, int, int]) -> Shown:
+        """Update the map, and tell what the ping showed of a voxel (an `Explains`)."""
+        witness = Witness(self.voxels, np.array([voxel]), IN_VIEW | OBSERVED)
+        self.integrate(ping, pose)
+        told = bool(witness.dismiss()[0] & OBSERVED)
+        after, _ = self.voxels.at(voxel)
+        change = after - float(witness.log_odds[0])
+        lit = change > 0.0 or (change == 0.0 and after > 0.0)  # at a clamp nothing changes
+        return Shown(int(told and lit), int(told and not lit), 1, after)
 
     def finish_scan(self) -> None:
         """Nothing: every ping has been used when it came."""
@@ -136,7 +147,7 @@ _OUTSIDE, _TOUCHED, _CENTRED, _WHOLE = 0, 1, 2, 3
 
 
 @kernel
-def _view_block(
+def view_block(
     coords: Int32, voxel_m: float, transform: Float64, fan: Float64, shape: Int64, views: Int32
 ) -> None:
     """Which pixels each voxel of a block covers.
@@ -238,7 +249,7 @@ def _update(
     shape = np.array([first.shape[0], echoes.shape[1] - 1])
     for block in prange(len(slots)):
         views = np.empty((5, VOXELS_PER_BLOCK), np.int32)
-        _view_block(blocks[block], voxel_m, transform, fan, shape, views)
+        view_block(blocks[block], voxel_m, transform, fan, shape, views)
         beam0s, beam1s, cell0s, cell1s, sights = views[0], views[1], views[2], views[3], views[4]
         cells = all_log_odds[slots[block]]
         seen = all_seen[slots[block]]

@@ -20,13 +20,14 @@ from insonify.errors import ConfigError
 from insonify.frames import world_from_sonar
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.fan import blocks_in_fan, fan_vector
-from insonify.mapping.mapper import MappingSettings
+from insonify.mapping.mapper import MappingSettings, Shown
 from insonify.mapping.odds import DOUBTED, Evidence, odds_table, read_off
 from insonify.mapping.seabed import SeabedHeights
 from insonify.mapping.sight import before_the_first_occupied
 from insonify.mapping.store import BLOCK, VOXELS_PER_BLOCK, MemoryStore
-from insonify.mapping.visibility import ROWS, count_pixels, look, vote
+from insonify.mapping.visibility import EVER_LIT, LOOKED_AT, ROWS, count_pixels, look, vote
 from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.witness import Witness
 from insonify.types import (
     Array,
     Bool,
@@ -111,6 +112,16 @@ class CarvingMapper:
         )
         votes = _votes(std_m, self._voxel_m)
         vote(slots, self._fine.log_odds, self._fine.seen, self._marks, votes, _LIMITS)
+
+    def explain(self, ping: Ping, pose: Pose, voxel: tuple[int, int, int]) -> Shown:
+        """Cut away, and tell what the ping showed of the voxels inside one (an `Explains`)."""
+        inside = self.settings.carving.inside
+        parts = np.array(voxel) * inside + np.indices((inside,) * 3).reshape(3, -1).T
+        witness = Witness(self._fine, parts, LOOKED_AT | EVER_LIT)
+        self.integrate(ping, pose)
+        told = witness.dismiss()
+        lit, looked_at = ((told & bit > 0).sum() for bit in (EVER_LIT, LOOKED_AT))
+        return Shown(int(lit), int(looked_at - lit), len(parts), self._derived.read_one(voxel))
 
     def finish_scan(self) -> None:
         """Nothing: every ping has been used when it came."""
@@ -267,6 +278,15 @@ class _Derived:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
         return self._store.find(coords)
 
+    def read_one(self, voxel: tuple[int, int, int]) -> float:
+        """Log-odds of a voxel, of all the map its column of blocks alone read off anew."""
+        column = np.array([voxel[:2]], np.int32) // BLOCK
+        read_off(self._evidence(), self._store, column, odds_table())
+        return VoxelMap(1.0, self._store).at(voxel)[0]
+
+    def _evidence(self) -> Evidence:
+        return Evidence(self._inside, self._fine, self.views, self._papers)
+
     def _fresh(self) -> MemoryStore:
         """The map with all that has changed read off anew."""
         if self._touched:
@@ -276,6 +296,5 @@ class _Derived:
             keys = np.unique(np.add.outer(keys, around))
             y = (keys + _SPAN // 2) % _SPAN - _SPAN // 2
             columns = np.column_stack([(keys - y) // _SPAN, y]).astype(np.int32)
-            evidence = Evidence(self._inside, self._fine, self.views, self._papers)
-            read_off(evidence, self._store, columns, odds_table())
+            read_off(self._evidence(), self._store, columns, odds_table())
         return self._store

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, Self, runtime_checkable
 
 from pydantic import Field, model_validator
@@ -107,6 +108,35 @@ class Mapper(Belief, Protocol):
         """Go on from what `save` gave, with ``voxels`` as they were then.
 
         Where `save` gave nothing, or there is a map alone, this is not called.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What one ping showed of one voxel of a map.
+
+    Attributes:
+        lit: How many of its parts have an echo at their range.
+        dark: How many are shown to be free.
+        parts: How many parts it is looked at in: 1, or those inside it.
+        log_odds: The voxel's, after the ping.
+    """
+
+    lit: int
+    dark: int
+    parts: int
+    log_odds: float
+
+
+@runtime_checkable
+class Explains(Mapper, Protocol):
+    """A mapper that can say, ping by ping, what made a voxel what it is."""
+
+    def explain(self, ping: Ping, pose: Pose, voxel: tuple[int, int, int]) -> Shown:
+        """Integrate a ping, with the same outcome, and tell what it showed of a voxel (its index).
+
+        Of the voxels nothing else is asked until the last ping, so that a mapper that reads them
+        off something else may wait.
         """
 
 

@@ -105,6 +105,11 @@ class MemoryStore:
             setattr(self, name, new)
 
 
+def cell_of(voxels: Int64) -> Int64:
+    """Where voxels (..., 3), by their indices, stand in their blocks."""
+    return np.asarray(np.asarray(voxels, np.int64) % BLOCK @ np.array([BLOCK * BLOCK, BLOCK, 1]))
+
+
 def _keys(coords: Int32) -> Int64:
     """One integer for each block index (N, 3), distinct for indices within +-1,000,000."""
     keys: Int64 = np.asarray(coords, np.int64) @ np.array([1 << 42, 1 << 21, 1])

@@ -18,6 +18,7 @@ from insonify.mapping.store import (
     VOXELS_PER_BLOCK,
     BlockStore,
     MemoryStore,
+    cell_of,
 )
 from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
 
@@ -155,6 +156,15 @@ class VoxelMap:
     def find(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
         return self._store.find(coords)
+
+    def at(self, voxel: tuple[int, int, int]) -> tuple[float, int]:
+        """Log-odds and the bits of what was seen of a voxel by its index; 0, 0 if it has none."""
+        index = np.asarray(voxel)
+        slot = int(self.find((index // BLOCK).astype(np.int32)[None])[0])
+        if slot < 0:
+            return 0.0, 0
+        cell = cell_of(index)
+        return float(self.log_odds[slot, cell]), int(self.seen[slot, cell])
 
     def occupied_m(self, box: Box | None = None) -> Float64:
         """Centres (N, 3) of voxels more likely occupied than not, world frame.

@@ -88,8 +88,25 @@ def load_mapper(path: Path | str) -> Mapper:
     path = Path(path)
     voxels = load_map(path)
     folder = path if path.is_dir() and path.suffix != ".zarr" else path.parent
+    mapper = empty_mapper(folder, voxels.voxel_m)
+    mapper.voxels = voxels
+    load_state(mapper, folder)
+    return mapper
+
+
+def empty_mapper(folder: Path, voxel_m: float) -> Mapper:
+    """A mapper as the one that made the map in a result's folder, with an empty map.
+
+    Args:
+        folder: Of the result; without a config in it, of `bayes`.
+        voxel_m: Edge length of the map's voxels.
+
+    Raises:
+        ConfigError: The mapper cannot be had.
+        ResultError: The map was made by another than its config names.
+    """
     config = config_of(folder) if (folder / CONFIG).is_file() else MapConfig()
-    settings = config.mapping.model_copy(update={"voxel_m": voxels.voxel_m})
+    settings = config.mapping.model_copy(update={"voxel_m": voxel_m})
     mapper = make_mapper(config.mapper, settings, config.mapper_options)
     made_by = getattr(load_result(folder), "mapper", None) if (folder / RESULT).is_file() else None
     if made_by not in (None, mapper.name):
@@ -97,8 +114,6 @@ def load_mapper(path: Path | str) -> Mapper:
             f"{folder / CONFIG}: names mapper {config.mapper!r}, and the map was made by "
             f"{made_by!r}; name the one that made it"
         )
-    mapper.voxels = voxels
-    load_state(mapper, folder)
     return mapper
 
 
