@@ -42,7 +42,7 @@ def _number(text: str, pattern: str) -> float:
 
 def test_there_is_one_for_each_subject() -> None:
     subjects = ("first_ping", "first_scan", "own_sonar", "own_planner", "own_recording", "dataset",
-                "vehicle", "own_mapper", "campaign")  # fmt: skip
+                "vehicle", "own_mapper", "campaign", "gym")  # fmt: skip
     assert [f"{k:02d}_{subject}.py" for k, subject in enumerate(subjects, 1)] == EXAMPLES
 
 
@@ -111,6 +111,13 @@ def test_campaign(folder: Path) -> None:
     assert len(re.findall(r"^entropy - uniform: F1 [+-]0\.\d+, p [\d.]+", said, re.M)) == 2
     assert len(re.findall(r"^bayes - Despeckled: ", said, re.M)) == 2
     assert (folder / "campaign/report.html").is_file()
+
+
+def test_gym(folder: Path) -> None:
+    said = _run("10_gym.py", folder)
+    scores = [float(score) for score in re.findall(r"solid F1 ([\d.]+) after 60 pings", said)]
+    assert len(scores) == 3 and scores[2] > scores[0] and scores[2] > 0.5
+    assert len(re.findall(r"[\d.]+ steps/s", said)) == 3
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ LAYERS = [
     "io",
     "imaging",
     "mission",
+    "gym",
     "report",
     "results",
     "view",

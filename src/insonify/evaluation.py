@@ -158,6 +158,12 @@ def score_map(voxels: VoxelMap, truth: GroundTruth) -> dict[str, dict[str, dict[
     }
 
 
+def solid_f1(voxels: VoxelMap, truth: GroundTruth) -> float:
+    """F1 of a map against the solid, voxel for voxel: of `score_map`'s figures the one alone."""
+    mapped = voxels.window(truth.box).occupied & truth.scored
+    return compare_voxels(mapped, truth.solid & truth.scored).f1
+
+
 def ghosts(window: VoxelWindow, truth: GroundTruth, scene: Scene) -> float:
     """Voxels that a map holds for occupied where there is only water, as a share of the object's.
 

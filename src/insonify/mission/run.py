@@ -209,7 +209,7 @@ def execute(
     clock = Clock()
     config = naming(config, planner, mapper)
     world = World(config)
-    _check_memory(world)
+    check_memory(world)
     mapper = world.mapper() if mapper is None else mapper
     check_voxels(mapper, config.mapping)
     planner = world.planner() if planner is None else planner
@@ -369,7 +369,7 @@ def _check_plan(world: World, planner: Planner) -> None:
         raise GeometryError(collision_message(hit))
 
 
-def _check_memory(world: World) -> None:
+def check_memory(world: World) -> None:
     """Refuse a voxel size whose map would not fit into free memory.
 
     The estimate is the space that the sonar could sweep on scans over the centre from all sides,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from insonify.mapping.mapper import Belief
 from insonify.mapping.voxels import VoxelMap
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.decision import Decision, SurveyArea
-from insonify.types import Box, FanGeometry, Nav, Pose, ScanPath
+from insonify.types import Box, FanGeometry, Float64, Nav, Pose, ScanPath
 
 
 def plan_next(
@@ -39,13 +40,25 @@ def plan_next(
 
 def clearance_m(voxels: VoxelMap, pose: Pose, path: ScanPath) -> float:
     """Least distance of the way to a path, and of the path, to the surface of an occupied voxel."""
+    corners = [pose, path.waypoints[0], path.waypoints[-1]]
     occupied = voxels.occupied_m()
-    nearest = math.inf
-    corners = [pose.position_m, path.waypoints[0].position_m, path.waypoints[-1].position_m]
-    for start, end in pairwise(np.array(corners)):
-        along = end - start
-        square = max(float(along @ along), 1e-12)
-        share = np.clip((occupied - start) @ along / square, 0.0, 1.0)
-        away = np.linalg.norm(occupied - start - share[:, None] * along, axis=1)
-        nearest = min(nearest, float(away.min(initial=math.inf)))
+    nearest = min(_nearest_m(occupied, *leg) for leg in pairwise(corners))
     return max(0.0, nearest - voxels.voxel_m * math.sqrt(3.0) / 2)
+
+
+def comes_near(voxels: VoxelMap, way: Sequence[Pose], clearance_m: float) -> bool:
+    """Whether a way's straight legs come so near to the centre of an occupied voxel."""
+    for start, end in pairwise(way if len(way) > 1 else [*way, *way]):
+        corners = np.array([start.position_m, end.position_m])
+        box = Box.of(corners.min(axis=0), corners.max(axis=0)).grown(clearance_m)
+        if _nearest_m(voxels.occupied_m(box), start, end) < clearance_m:
+            return True
+    return False
+
+
+def _nearest_m(points_m: Float64, start: Pose, end: Pose) -> float:
+    """Least distance of points (N, 3) to a straight leg."""
+    origin, along = np.array(start.position_m), np.subtract(end.position_m, start.position_m)
+    share = np.clip((points_m - origin) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+    away = np.linalg.norm(points_m - origin - share[:, None] * along, axis=1)
+    return float(away.min(initial=math.inf))

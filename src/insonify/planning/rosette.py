@@ -21,6 +21,8 @@ from insonify.types import FanGeometry, Nav, Pose, ScanPath, StopReason
 _LOBE_RAD = math.radians(60.0)
 _LOBES = 6
 _HALF_LOBE_RAD = math.radians(30.0)
+DISTINCT_LOBES = 2 * _LOBES
+"""Those of a later turn are where these are."""
 _FLOOR_M, _HEADROOM_M = 0.2, 0.5
 """How far a region's floor is above the seabed, and its top above the object."""
 _REACH, _HIGHEST, _LOW = 0.88, 0.405, 0.33
@@ -223,9 +225,13 @@ class RosettePlanner:
         left = self.settings.pings - sum(len(scan.waypoints) for scan in nav.scans)
         if left <= 0:
             return Decision(stop=StopReason.PLAN_FLOWN)
-        poses = lobe(self.shape, len(nav.scans), self._heading_rad)
         last = nav.scans[-1].waypoints[-1] if nav.scans else None
-        return Decision(path=ScanPath(pings_along(poses, self.settings.ping_m, last)[:left]))
+        return Decision(path=self.lobe_path(len(nav.scans), last, left))
+
+    def lobe_path(self, number: int, last: Pose | None, most: int) -> ScanPath:
+        """A lobe by its number from 0, on from the last ping, of so many pings at most."""
+        poses = lobe(self.shape, number, self._heading_rad)
+        return ScanPath(pings_along(poses, self.settings.ping_m, last)[:most])
 
 
 def pings_along(poses: list[Pose], ping_m: float, last: Pose | None) -> tuple[Pose, ...]:
