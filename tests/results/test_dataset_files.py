@@ -151,15 +151,15 @@ def test_a_killed_dataset_goes_on_where_it_was(folder: Path, tmp_path: Path) -> 
     command += ["--out", str(target), "--count", str(COUNT), "--workers", "1"]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
         limit = time.monotonic() + 60.0
-        while len(list(tmp_path.glob(".d-*/done/00000?.json"))) < 2:
+        while len(list(tmp_path.glob(".d-*/new/done/00000?.json"))) < 2:
             assert process.poll() is None and time.monotonic() < limit
             time.sleep(0.005)
         process.send_signal(signal.SIGKILL)
     (left,) = tmp_path.glob(".d-*")
-    whole = sorted(path.name for path in (left / "done").glob("*.json"))
+    whole = sorted(path.name for path in (left / "new/done").glob("*.json"))
     assert len(whole) >= 2
-    (left / "dataset.zarr" / "image" / "c" / "0" / "0" / "0.abc.partial").write_bytes(b"half")
-    before = (left / "images" / "000000.png").stat().st_ino
+    (left / "new/dataset.zarr" / "image" / "c" / "0" / "0" / "0.abc.partial").write_bytes(b"half")
+    before = (left / "new/images/000000.png").stat().st_ino
     _make(target, "--count", str(COUNT), "--workers", "1")
     assert _contents(target) == _contents(folder)
     assert (target / "images" / "000000.png").stat().st_ino == before, "it began anew"
@@ -186,8 +186,7 @@ def test_a_full_disk_keeps_what_is_whole(
     assert isinstance(done.exception, OutputError)
     assert f"stopped after 3 of {COUNT} views" in caplog.text
     monkeypatch.undo()
-    (left,) = tmp_path.iterdir()
-    (left / "owner.pid").write_text("999999999 0.0")  # as if that process were gone
+    assert len(list(tmp_path.iterdir())) == 1
     _make(tmp_path / "d", "--count", str(COUNT), "--workers", "1")
     assert _contents(tmp_path / "d") == _contents(folder)
     assert list(tmp_path.iterdir()) == [tmp_path / "d"]
@@ -204,7 +203,7 @@ def test_a_worker_that_is_killed_loses_nothing_else(tmp_path: Path) -> None:
     command += ["--out", str(tmp_path / "d"), "--count", "500", "--workers", "2"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         limit = time.monotonic() + 60.0
-        while len(list(tmp_path.glob(".d-*/done/00000?.json"))) < 2:
+        while len(list(tmp_path.glob(".d-*/new/done/00000?.json"))) < 2:
             assert process.poll() is None and time.monotonic() < limit
             time.sleep(0.01)
         psutil.Process(process.pid).children()[-1].kill()
@@ -213,7 +212,7 @@ def test_a_worker_that_is_killed_loses_nothing_else(tmp_path: Path) -> None:
     assert process.returncode == 2
     assert "fewer --workers" in told and "of 500 views" in told and "Traceback" not in told
     (left,) = tmp_path.iterdir()
-    assert len(list((left / "done").iterdir())) >= 2
+    assert len(list((left / "new/done").iterdir())) >= 2
 
 
 def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:
@@ -223,7 +222,7 @@ def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:
         command, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         limit = time.monotonic() + 60.0
-        while len(list(tmp_path.glob(".d-*/done/00000?.json"))) < 2:
+        while len(list(tmp_path.glob(".d-*/new/done/00000?.json"))) < 2:
             assert process.poll() is None and time.monotonic() < limit
             time.sleep(0.01)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to the workers too
@@ -233,7 +232,7 @@ def test_ctrl_c_keeps_what_is_whole(folder: Path, tmp_path: Path) -> None:
     found = re.search(r"stopped after (\d+) of 500 views; the same command goes on", told)
     assert found and "Traceback" not in told
     (left,) = tmp_path.iterdir()
-    assert len(list((left / "done").iterdir())) == int(found[1]) >= 2
+    assert len(list((left / "new/done").iterdir())) == int(found[1]) >= 2
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from insonify.config.settings import Table
 from insonify.config.toml import to_toml
 from insonify.errors import MissingExtraError, OutputError, ResultError, reason
 from insonify.extras import optional
-from insonify.io.folders import write_file
+from insonify.io.folders import RESULT, write_file
 from insonify.mission.campaign import (
     FACTORS,
     CampaignSettings,
@@ -126,8 +126,8 @@ def _opened(folder: Path, campaign: CampaignSettings) -> Iterator[None]:
                 f"{folder}: another process is at work on this campaign; wait for it, or end it"
             ) from err
         write_file(folder / CAMPAIGN, to_toml(campaign, f"{_HEAD}\ninsonify campaign DIR").encode())
-        for name in TABLES:
-            (folder / f"{name}.parquet").unlink(missing_ok=True)
+        for name in (RESULT, REPORT, *(f"{table}.parquet" for table in TABLES)):
+            (folder / name).unlink(missing_ok=True)
         for file in (folder / FAILED).glob("*.json"):  # they are tried again
             file.unlink()
         yield

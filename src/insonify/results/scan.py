@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Callable
 from itertools import accumulate
 from pathlib import Path
@@ -12,7 +11,7 @@ from insonify.config.layers import read_table
 from insonify.config.toml import config_to_toml
 from insonify.errors import InsonifyError, MissingExtraError, ResultError
 from insonify.io.decisions import load_decisions, save_decisions
-from insonify.io.folders import RESULT, result_folder
+from insonify.io.folders import RESULT, ResultFolder, result_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.io.recordings import open_recording
 from insonify.io.trajectories import load_track, save_track
@@ -25,7 +24,6 @@ from insonify.mission.setup import Config
 from insonify.planning.decision import DecisionRecord
 from insonify.results.files import CONFIG, RECORDING, load_result, save_result
 from insonify.results.mappers import save_mapper
-from insonify.results.scratch import OWNER, claim, find_unfinished, keep
 from insonify.types import Box, PosedPing, ScanPath
 
 MAP, CLOUD, DECISIONS, TRUTH = "map.npz", "map.ply", "decisions.npz", "truth.npz"
@@ -66,10 +64,8 @@ def run_scan(
     from insonify.results.resume import remembered
 
     text = config_to_toml(config, "scan")
-    before = find_unfinished(target, text, RECORDING)
-    with result_folder(target, force=force) as place:
-        claim(place.scratch, text)
-        known, past = remembered(before) if before is not None else (0, iter(()))
+    with result_folder(target, force=force, job=text, progress=_recorded_bytes) as place:
+        known, past = remembered(place.before) if place.before is not None else (0, iter(()))
         if known:
             _log.info("going on after the %d pings of a scan that was broken off", known)
         with recording(place.scratch) as record:
@@ -79,22 +75,23 @@ def run_scan(
                 record(run, step)
 
             run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
-        result = _save_or_keep(run, place.scratch)
-        (place.scratch / OWNER).unlink()
-    if before is not None:
-        shutil.rmtree(before, ignore_errors=True)
+        result = _save_or_keep(run, place)
     return result, place.target
 
 
-def _save_or_keep(run: Run, scratch: Path) -> ScanResult:
+def _recorded_bytes(folder: Path) -> int:
+    return (folder / RECORDING).stat().st_size
+
+
+def _save_or_keep(run: Run, place: ResultFolder) -> ScanResult:
     """Save a run; what was scanned is kept if a fault in a user's mapper is in the way."""
     try:
-        return save_scan(run, scratch)
+        return save_scan(run, place.scratch)
     except (OSError, InsonifyError):
         raise
     except Exception:
         _log.warning("the scan could not be saved; the same command goes on after its pings")
-        keep(scratch)
+        place.kept = True
         raise
 
 

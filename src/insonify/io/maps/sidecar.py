@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 
 from insonify.errors import MapFileError
-from insonify.io.folders import BESIDE
+from insonify.io.beside import BESIDE, owners_table
 from insonify.io.maps.blocks import origin_of
 from insonify.mapping.voxels import VoxelMap
 
@@ -42,7 +42,7 @@ def load_origin(path: Path) -> tuple[float, float, float]:
     if not beside.is_file():
         return 0.0, 0.0, 0.0
     try:
-        told = json.loads(beside.read_text(encoding="utf-8"))["origin_m"]
-    except (OSError, ValueError, KeyError, TypeError) as err:
+        told = owners_table(json.loads(beside.read_text(encoding="utf-8")), path)["origin_m"]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as err:
         raise MapFileError(f"{beside}: does not tell an origin ({err})") from err
     return origin_of(beside, told)

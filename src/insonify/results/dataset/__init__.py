@@ -20,12 +20,11 @@ import numba
 from insonify.config.toml import config_to_toml
 from insonify.errors import ConfigError, InsonifyError, MemoryLimitError, OutputError
 from insonify.imaging.dataset import Dataset, Shots
-from insonify.io.folders import result_folder, write_file
+from insonify.io.folders import ResultFolder, result_folder, write_file
 from insonify.mission.result import DatasetResult
 from insonify.results.dataset import coco, store
-from insonify.results.files import save_result
+from insonify.results.files import CONFIG, save_result
 from insonify.results.replay import PINGS, save_replay
-from insonify.results.scratch import OWNER, claim, find_unfinished, keep
 
 DONE = "done"
 """Folder of one file for each view that is whole; gone when the dataset is."""
@@ -68,32 +67,24 @@ def make_dataset(
         InsonifyError: As `write_dataset`.
     """
     text = config_to_toml(config, "dataset") + _contents(config.materials)
-    before = find_unfinished(target, text, DONE)
-    with result_folder(target, force=force) as place:
-        if before is not None:
-            before.replace(place.scratch)
-        claim(place.scratch, text)
+    with result_folder(target, force=force, job=text, progress=_views_done) as place:
+        if place.before is not None:
+            place.before.replace(place.scratch)
         try:
-            result = write_dataset(
-                config, place.scratch, workers=workers, watch=watch, should_stop=should_stop
-            )
+            result = _written(config, place.scratch, workers, watch, should_stop)
         except BaseException as err:
             bad_input = isinstance(err, InsonifyError) and not isinstance(err, _NO_ROOM)
             if not bad_input:  # also if Ctrl-C came twice
-                _keep(place.scratch, config.count)
+                _keep(place, config.count)
             raise
         if result is None:
-            _keep(place.scratch, config.count)
+            _keep(place, config.count)
         else:
-            _finish(config, place.scratch, mcap)
+            (place.scratch / CONFIG).write_text(text, encoding="utf-8")
+            if mcap:
+                _write_replay(config, place.scratch)
+            shutil.rmtree(place.scratch / DONE)  # last: killed before, nothing is made twice
     return result, place.target
-
-
-def _finish(config: Dataset, folder: Path, mcap: bool) -> None:
-    """A whole dataset's folder belongs to nobody; before that its views may be recorded too."""
-    if mcap:
-        _write_replay(config, folder)
-    (folder / OWNER).unlink()
 
 
 def _write_replay(config: Dataset, folder: Path) -> None:
@@ -111,9 +102,13 @@ def _contents(materials: str) -> str:
     return "".join(f"# {line}".rstrip() + "\n" for line in lines)
 
 
-def _keep(scratch: Path, count: int) -> None:
+def _views_done(folder: Path) -> int:
+    return sum(1 for _ in (folder / DONE).glob("*.json"))
+
+
+def _keep(place: ResultFolder, count: int) -> None:
     """Leave what is whole for the same call to go on with."""
-    done = sum(1 for _ in (keep(scratch) / DONE).glob("*.json"))
+    place.kept, done = True, _views_done(place.scratch)
     _log.info("stopped after %d of %d views; the same command goes on from there", done, count)
 
 
@@ -145,6 +140,20 @@ def write_dataset(
         MemoryLimitError: A worker was killed.
         MissingExtraError: The package zarr is not installed.
     """
+    result = _written(config, folder, workers, watch, should_stop)
+    if result is not None:
+        shutil.rmtree(folder / DONE)
+    return result
+
+
+def _written(
+    config: Dataset,
+    folder: Path,
+    workers: int,
+    watch: Callable[[int], None],
+    should_stop: Callable[[], bool],
+) -> DatasetResult | None:
+    """All of a dataset, and still the folder that says which of its views are whole."""
     shots = _prepared(config, folder)
     missing = [k for k in range(config.count) if not _marker(folder, k).is_file()]
     done = config.count - len(missing)
@@ -156,7 +165,6 @@ def write_dataset(
         return None
     store.finish(folder / STORE, shots, [row["pose"] for row in _rows(config, folder)])
     seen = coco.write_annotations(folder / ANNOTATIONS, shots, lambda: _rows(config, folder))
-    shutil.rmtree(folder / DONE)
     result = DatasetResult(
         world=config.world,
         sonar=config.sonar.name,
