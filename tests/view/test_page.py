@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import http.client
 import io
 import json
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +24,7 @@ from PIL import Image
 
 from insonify.errors import MissingExtraError, OutputError
 from insonify.types import Array, StopReason
+from insonify.view.guard import guarded, refusal
 from insonify.view.page import Page
 from insonify.view.story import Story
 
@@ -170,3 +175,83 @@ def test_a_port_in_use_is_passed_over() -> None:
         page = Page(Story("next"), port=port)
         page.close()
     assert page.url != f"http://127.0.0.1:{port}"
+
+
+_READING = """
+const done = arguments[arguments.length - 1], socket = new WebSocket(arguments[0], arguments[1]);
+let bytes = 0;
+socket.binaryType = "arraybuffer";
+socket.onmessage = (message) => { bytes += message.data.byteLength; };
+socket.onerror = () => done(-1);
+socket.onopen = () => setTimeout(() => done(bytes), 1000);
+"""
+
+
+def test_no_other_web_page_can_read_it(browser: Any, tmp_path: Path) -> None:
+    """A page of another origin in the same browser, and one that has its name point here."""
+    viser = pytest.importorskip("viser")
+    (tmp_path / "index.html").write_text("<title>evil</title>")
+    elsewhere = partial(SimpleHTTPRequestHandler, directory=str(tmp_path))
+    page = Page(Story("secret"), port=8290)
+    address = page.url.replace("http", "ws")
+    spoken = f"viser-v{viser.__version__}"
+    with ThreadingHTTPServer(("127.0.0.1", 0), elsewhere) as evil:
+        threading.Thread(target=evil.serve_forever, daemon=True).start()
+        try:
+            browser.get(f"http://127.0.0.1:{evil.server_address[1]}/index.html")
+            assert browser.title == "evil"
+            assert browser.execute_async_script(_READING, address, spoken) == -1
+            browser.get(page.url)
+            assert browser.execute_async_script(_READING, address, spoken) > 1000
+        finally:
+            evil.shutdown()
+            page.close()
+    browser.get_log("browser")  # it says that it was refused
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "answered"),
+    [
+        ("127.0.0.1:8080", None, True),
+        ("127.0.0.1:8080", "http://127.0.0.1:8080", True),
+        ("localhost:9000", "http://localhost:9000", True),  # a forwarded port
+        ("[::1]:8080", "http://[::1]:8080", True),
+        ("192.168.1.7:8080", "https://192.168.1.7:8080", True),
+        ("boat.example:8080", "http://boat.example:8080", True),  # --host boat.example
+        ("127.0.0.1:8080", "http://evil.example", False),
+        ("127.0.0.1:8080", "http://127.0.0.1:3000", False),
+        ("127.0.0.1:8080", "null", False),
+        ("127.0.0.1:8080", "http://127.0.0.1:8080.evil.example", False),
+        ("evil.example:8080", "http://evil.example:8080", False),
+        ("127.0.0.1.evil.example", None, False),
+        ("[", None, False),
+        ("", None, False),
+        (None, None, False),
+    ],
+)
+def test_who_is_answered(host: str | None, origin: str | None, answered: bool) -> None:
+    assert (refusal(host, origin, "boat.example") == "") == answered
+
+
+def test_foreign_requests_get_nothing() -> None:
+    page = Page(Story("secret"), port=8295)
+    port = int(page.url.rpartition(":")[2])
+    told = {}
+    for host, origin in (
+        ("127.0.0.1", None), ("evil.example", None), ("127.0.0.1", "http://evil.example"),
+    ):  # fmt: skip
+        asked = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+        headers = {"Host": f"{host}:{port}"} | ({"Origin": origin} if origin else {})
+        asked.request("GET", "/", headers=headers)
+        answer = asked.getresponse()
+        told[host, origin] = answer.status, len(answer.read())
+        asked.close()
+    page.close()
+    assert told["127.0.0.1", None][0] == 200
+    for foreign in (("evil.example", None), ("127.0.0.1", "http://evil.example")):
+        assert told[foreign][0] == 403 and told[foreign][1] < 100
+
+
+def test_a_server_that_would_answer_all_is_not_started() -> None:
+    with pytest.raises(OutputError, match="kept from answering other web pages"), guarded("here"):
+        pass

@@ -20,6 +20,7 @@ from insonify.mission.loop import Step
 from insonify.mission.run import Run
 from insonify.types import Float64, Ping
 from insonify.view import layers, shapes, words
+from insonify.view.guard import guarded
 from insonify.view.story import Story
 
 _REST_S, _STEP_S = 0.05, 0.15
@@ -40,7 +41,10 @@ _LAYERS = {
 
 
 class Page:
-    """A web server that shows a story, and follows it while it grows."""
+    """A web server that shows a story, and follows it while it grows.
+
+    Other web pages that a browser has open cannot read it (`insonify.view.guard`).
+    """
 
     def __init__(self, story: Story, host: str = "127.0.0.1", port: int = 8080) -> None:
         """Start serving.
@@ -56,7 +60,10 @@ class Page:
         """
         viser = optional("viser", "view", "the view in the browser")
         port = _free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):  # where it announces itself
+        with (
+            contextlib.redirect_stdout(io.StringIO()),  # where it announces itself
+            guarded(host),
+        ):
             self._server = viser.ViserServer(host=host, port=port, label="insonify", verbose=False)
         atexit.unregister(self._server.stop)  # which says so on stdout
         self.url = f"http://{host}:{self._server.get_port()}"
