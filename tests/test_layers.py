@@ -16,6 +16,7 @@ LAYERS = [
     "errors",
     "types",
     "extras",
+    "names",
     "seeds",
     "memory",
     "jit",

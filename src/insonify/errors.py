@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class InsonifyError(Exception):
     """Bad input, said in one sentence that names the file or value and what to do about it."""
@@ -59,3 +63,34 @@ def reason(err: BaseException) -> str:
     """What a library says of damage, cut to a length that fits into a sentence."""
     text = " ".join(str(err).split()) or type(err).__name__
     return text if len(text) <= 160 else f"{text[:157]}..."
+
+
+@contextmanager
+def reading(
+    path: Path | str, what: str, error: type[InsonifyError], *damage: type[Exception]
+) -> Iterator[None]:
+    """What goes wrong while a file is read, as one sentence that names it.
+
+    Args:
+        path: The file.
+        what: What it should be, as in "a picture".
+        error: What is raised; of its own kind, whatever the block raises passes.
+        damage: What the library that reads it raises on damage; ``OSError`` and ``MemoryError``
+            are always told.
+
+    Raises:
+        InsonifyError: It is not there, cannot be read, is damaged, or does not fit into memory.
+    """
+    try:
+        yield
+    except InsonifyError:
+        raise
+    except FileNotFoundError as err:
+        raise error(f"{path}: there is no such file; check the path") from err
+    except MemoryError as err:
+        raise error(f"{path}: more than the memory that is free is needed to read it") from err
+    except OSError as err:
+        told = err.strerror.lower() if err.strerror else reason(err)
+        raise error(f"{path}: cannot be read as {what} ({told})") from err
+    except damage as err:
+        raise error(f"{path}: cannot be read as {what} ({reason(err)})") from err

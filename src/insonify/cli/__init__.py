@@ -6,16 +6,20 @@ Heavy imports wait until a command needs them, so that ``insonify --help`` is qu
 from __future__ import annotations
 
 import errno
+import io
+import os
 import signal
 import sys
 import warnings
-from typing import Annotated, Any, TextIO, cast
+from typing import Annotated, Any, NoReturn, TextIO, cast
 
 import typer
 
+from insonify.cli.printing import say, tell
 from insonify.cli.progress import show_log
-from insonify.cli.root import EXIT_BAD_INPUT, EXIT_INTERRUPTED, Interrupted, app
-from insonify.errors import InsonifyError
+from insonify.cli.root import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, Interrupted, app
+from insonify.errors import InsonifyError, reason
+from insonify.memory import free_bytes
 
 # isort: off
 # --help lists the commands in this order
@@ -99,12 +103,15 @@ def _show_warning(
     line: str | None = None,
 ) -> None:
     """A warning as a message for the user, without the line of code that gave it."""
-    print(f"insonify: warning: {message}", file=sys.stderr)
+    tell(f"insonify: warning: {message}")
 
 
 def main() -> None:
     """Run the command line; bad input is one sentence and exit code 2."""
     signal.signal(signal.SIGINT, _interrupt)
+    for stream in (sys.stdout, sys.stderr):  # a terminal need not have all characters
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     warnings.showwarning = _show_warning
     show_log()
     if len(sys.argv) == 1:
@@ -112,26 +119,44 @@ def main() -> None:
     try:
         sys.exit(app(standalone_mode=False, prog_name="insonify"))
     except _UsageError as err:
-        print(f"insonify: {_usage(err)}", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+        _end(_usage(err))
     except InsonifyError as err:
-        print(f"insonify: {err}", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+        _end(str(err))
     except Interrupted:
-        print("insonify: interrupted; nothing was written", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
-    except OSError as err:
-        if err.errno != errno.ENOSPC:
-            raise
-        print("insonify: the output cannot be written: no space left", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
+        _end("interrupted; nothing was written", EXIT_INTERRUPTED)
+    except BrokenPipeError:  # who reads what is printed has gone; nothing more can be said to it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(EXIT_FAILED)
+    except (OSError, MemoryError, UnicodeEncodeError) as err:
+        _end(_refused(err))
+
+
+def _end(message: str, code: int = EXIT_BAD_INPUT) -> NoReturn:
+    tell(f"insonify: {message}")
+    sys.exit(code)
+
+
+def _refused(err: OSError | MemoryError | UnicodeEncodeError) -> str:
+    """What the machine refuses, in one sentence."""
+    if isinstance(err, UnicodeEncodeError):
+        return f"the name {err.object!r} is not UTF-8; rename the file"
+    if isinstance(err, MemoryError):
+        return (
+            f"this needs more memory than is free, which is {free_bytes() / 1e9:.3g} GB; give "
+            "less, or take a larger machine"
+        )
+    if err.errno == errno.ENOSPC:
+        return "the output cannot be written: no space left"
+    told = err.strerror or reason(err)
+    about = "" if err.filename is None else f"{os.fsdecode(err.filename)}: "
+    return f"{about}{told[:1].lower()}{told[1:]}; check the path, and what may be read and written"
 
 
 def _version(wanted: bool) -> None:
     if wanted:
         from insonify import __version__
 
-        print(f"insonify {__version__}")
+        say(f"insonify {__version__}")
         raise typer.Exit
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import signal
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_listing, say_table, tell
 from insonify.cli.progress import Bar, progress
 from insonify.cli.root import (
     EXIT_FAILED,
@@ -21,7 +21,6 @@ from insonify.cli.root import (
     SetOption,
     app,
     interruptible,
-    print_listing,
     print_report,
     single_layers,
 )
@@ -74,7 +73,7 @@ def campaign(
         except Interrupted:
             raise typer.Exit(EXIT_INTERRUPTED) from None  # told at the first Ctrl-C
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
         _print_summary(list(result.table))
     print_report(folder)
@@ -88,15 +87,12 @@ def _show(bar: Bar, done: int, failed: int, planned: int) -> None:
 def _end(result: CampaignResult, folder: Path, interrupted: bool) -> None:
     """Say what is not there, and tell by the exit code."""
     if interrupted:
-        print(
-            f"insonify: interrupted after {result.runs} of {result.planned} runs", file=sys.stderr
-        )
+        tell(f"insonify: interrupted after {result.runs} of {result.planned} runs")
         raise typer.Exit(EXIT_INTERRUPTED)
     if result.failed:
-        print(
+        tell(
             f"insonify: {result.failed} of {result.planned} runs failed: {_first(folder)}; all are "
-            f"told in {folder / 'failed'}, and the same command tries them again",
-            file=sys.stderr,
+            f"told in {folder / 'failed'}, and the same command tries them again"
         )
         raise typer.Exit(EXIT_FAILED)
 
@@ -128,14 +124,14 @@ def results(
         names, rows = query(folder, sql)
         if as_json:
             told = [dict(zip(names, row, strict=True)) for row in rows]
-            print(json.dumps(told, indent=2, default=str))
+            say_json(told)
         else:
-            print_listing(names, [[_text(value) for value in row] for row in rows])
+            say_listing(names, [[_text(value) for value in row] for row in rows])
         return
     tables = load_campaign(folder)
     summary = summarise_campaign(tables) if len(tables.runs) else []
     if as_json:
-        print(json.dumps(summary, indent=2))
+        say_json(summary)
     else:
         _print_summary(summary)
 
@@ -151,15 +147,13 @@ def _print_summary(rows: list[Table]) -> None:
     from itertools import groupby
 
     from rich import box
-    from rich.console import Console
     from rich.table import Table as RichTable
 
     from insonify.mission.tables import HEADLINE, SETTING, short
 
     if not rows:
-        print("no run is complete")
+        say("no run is complete")
         return
-    console = Console()
     headings = (HEADLINE.replace("_", " "), "along path", "over pings", "path, m")
     for setting, inside in groupby(rows, key=lambda row: tuple(row[name] for name in SETTING)):
         view = RichTable(
@@ -170,8 +164,8 @@ def _print_summary(rows: list[Table]) -> None:
             figures = [_spread(row[key], 3) for key in (HEADLINE, "area_path", "area_pings")]
             names = (short(row["mapper"]), short(row["planner"]))
             view.add_row(*names, *figures, _spread(row["path_m"], 1))
-        console.print(view)
-    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+        say_table(view)
+    say("Mean over the seeds ± half of its 95 % confidence interval.")
 
 
 def _spread(figure: dict[str, float | None], digits: int) -> str:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_listing
 from insonify.cli.progress import progress
 from insonify.cli.reading import takes_reading
-from insonify.cli.root import JsonOption, app, print_listing
+from insonify.cli.root import JsonOption, app
 
 if TYPE_CHECKING:
     from insonify.mission.check import Check
@@ -31,12 +31,12 @@ def check(
         bar.show(0, 1, file.name, "")
         found = check_recording(open_recording(file, reading), reading)
     if as_json:
-        print(json.dumps(found.to_json(), indent=2))
+        say_json(found.to_json())
     else:
-        print_listing(["question", "answer", "why"], _rows(found))
-        print(f"{file}: {found.conclusion}.")
+        say_listing(["question", "answer", "why"], _rows(found))
+        say(f"{file}: {found.conclusion}.")
         if found.options:
-            print(f"To set it right: insonify map {file} {' '.join(found.options)} ...")
+            say(f"To set it right: insonify map {file} {' '.join(found.options)} ...")
 
 
 def _rows(found: Check) -> list[list[str]]:

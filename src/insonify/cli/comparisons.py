@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import product
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_table, tell
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -93,13 +92,13 @@ def compare(
             how = {"workers": workers, "watch": watch, "should_stop": interrupted}
             rows = _runs(names, seeds, layers, planners, flown, how)
         if not rows:
-            print("insonify: interrupted before the first run was complete", file=sys.stderr)
+            tell("insonify: interrupted before the first run was complete")
             raise typer.Exit(EXIT_INTERRUPTED)
         _tell(rows, scratch, flown=flown, as_json=as_json, every=every)
     if out is not None:
-        print(f"Rows: {out}", file=sys.stderr)
+        tell(f"Rows: {out}")
     if interrupted():
-        print(f"insonify: interrupted after {len(rows)} complete runs", file=sys.stderr)
+        tell(f"insonify: interrupted after {len(rows)} complete runs")
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
@@ -126,7 +125,7 @@ def _tell(
     if folder is not None:
         save_comparison(rows, table, folder)
     if as_json:
-        print(json.dumps({"runs": [row.to_json() for row in rows], "table": table}, indent=2))
+        say_json({"runs": [row.to_json() for row in rows], "table": table})
     elif flown:
         print_navigation(table)
     else:
@@ -165,26 +164,23 @@ def _compared(settings: list[str] | None, vehicle: str | None) -> list[Table]:
 
 def print_comparison(table: Table, *, every: bool) -> None:
     """A comparison of planners for people, a row each beside the paper's: F1, or every score."""
-    from rich.console import Console
-
     from insonify.mission.comparison import SCORES
     from insonify.mission.setup import scenarios as known
 
-    console = Console()
     tolerances = {"exact": "voxel for voxel", "within_one_voxel": "within one voxel"}
     for name, planners in table.items():
         paper = known()[name].get("paper")
         title = name if paper is None else f"{name} (paper: {paper['source']})"
         if not every:
             columns = {f"F1, {kind}": (kind, "exact", "f1") for kind in ("solid", "surface")}
-            console.print(_view(f"{title}, voxel for voxel", planners, columns))
+            say_table(_view(f"{title}, voxel for voxel", planners, columns))
             continue
         for kind, match in product(("solid", "surface"), tolerances):
             columns = {score: (kind, match, score) for score in SCORES}
             what = f"{title}, {kind}, {tolerances[match]}"
-            console.print(_view(what, planners, columns, spread=False))
+            say_table(_view(what, planners, columns, spread=False))
     spread = "" if every else " ± half of its 95 % confidence interval"
-    console.print(f"Mean over the seeds{spread}.")
+    say(f"Mean over the seeds{spread}.")
 
 
 def _view(

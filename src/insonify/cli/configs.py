@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say_json, say_lines
 from insonify.cli.root import (
     ConfigOption,
     JsonOption,
@@ -66,13 +66,13 @@ def show_config(
 
     chosen = command or _guessed(name, config)
     if schema:
-        print(json.dumps(_model(chosen).model_json_schema(), indent=2))
+        say_json(_model(chosen).model_json_schema())
         return
     full = _MAKERS[chosen](name, config, settings)
     if as_json:
-        print(json.dumps(full.model_dump(mode="json"), indent=2))
+        say_json(full.model_dump(mode="json"))
     else:
-        print(config_to_toml(full, chosen.value), end="")
+        say_lines(config_to_toml(full, chosen.value).removesuffix("\n"))
 
 
 def _guessed(name: str | None, config: Path | None) -> Command:

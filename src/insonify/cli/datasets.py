@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_listing, tell
 from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -25,11 +24,11 @@ from insonify.cli.root import (
     app,
     choices,
     interruptible,
-    print_listing,
     world_and_layers,
     world_table,
 )
 from insonify.cli.simulation import McapOption
+from insonify.names import file_name
 
 if TYPE_CHECKING:
     from insonify.mission.result import DatasetResult
@@ -67,7 +66,7 @@ def dataset(
         sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count
     ) | world_table(search, materials)
     full = dataset_config(*world_and_layers(world, config, settings, chosen))
-    folder = out or unused_folder(Path("insonify-runs") / f"{full.world_name}-dataset")
+    folder = out or unused_folder(Path("insonify-runs") / file_name(f"{full.world_name}-dataset"))
     with (
         interruptible("stopping after the views that are being made") as interrupted,
         progress("views", full.count) as bar,
@@ -88,10 +87,10 @@ def dataset(
 
 def _tell(result: DatasetResult, target: Path, as_json: bool) -> None:
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
         _print_result(result)
-    print(f"Dataset: {target}", file=sys.stderr)
+    tell(f"Dataset: {target}")
 
 
 def _print_result(result: DatasetResult) -> None:
@@ -99,5 +98,5 @@ def _print_result(result: DatasetResult) -> None:
         [name, str(entry["views"]), f"{entry['pixels']:,}"]
         for name, entry in result.categories.items()
     ]
-    print(f"{result.world}: {result.views} views with {result.sonar}")
-    print_listing(["category", "views", "pixels"], rows)
+    say(f"{result.world}: {result.views} views with {result.sonar}")
+    say_listing(["category", "views", "pixels"], rows)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json
 from insonify.cli.root import JsonOption, app, datum_from_text
 
 
@@ -55,9 +55,9 @@ def export(
         "occupied_voxels": int((voxels.log_odds > 0).sum()),
     }
     if as_json:
-        print(json.dumps(row, indent=2))
+        say_json(row)
     else:
-        print(
+        say(
             f"{target}: {row['bytes']:,} bytes, from {row['observed_voxels']:,} observed voxels of "
             f"{voxels.voxel_m:g} m, {row['occupied_voxels']:,} of them occupied"
         )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from insonify.cli.root import JsonOption, app, print_listing
+from insonify.cli.printing import say, say_json, say_lines, say_listing
+from insonify.cli.root import JsonOption, app
 
 
 @app.command()
@@ -26,10 +26,10 @@ def scenarios(as_json: JsonOption = False) -> None:
         for name, table in tables.items()
     ]
     if as_json:
-        print(json.dumps(rows, indent=2))
+        say_json(rows)
     else:
         cells = [[row["name"], row["command"], row["title"]] for row in rows]
-        print_listing(["name", "for", "what it is"], cells)
+        say_listing(["name", "for", "what it is"], cells)
 
 
 @app.command()
@@ -48,10 +48,10 @@ def sonars(
         return
     rows = [{"name": name, **table} for name, table in sonar_presets().items()]
     if as_json:
-        print(json.dumps(rows, indent=2))
+        say_json(rows)
         return
     for row in rows:
-        print(
+        say(
             f"{row['name']}: {row.get('kind', 'forward-looking')}, "
             f"{row['azimuth_fov_deg']:g} x {row['elevation_fov_deg']:g} degrees, "
             f"{row['beams']} beams x {row['bins']} bins, "
@@ -59,7 +59,7 @@ def sonars(
         )
         unconfirmed = ", ".join(row["unconfirmed"]) or "nothing"
         about = f"{row['source']}. Not confirmed: {unconfirmed}."
-        print(textwrap.fill(about, 88, initial_indent="    ", subsequent_indent="    "))
+        say_lines(textwrap.fill(about, 88, initial_indent="    ", subsequent_indent="    "))
 
 
 def _list_described(file: Path, as_json: bool) -> None:
@@ -71,10 +71,10 @@ def _list_described(file: Path, as_json: bool) -> None:
 
     devices = [validated(SonarDevice, table, where=str(file)) for table in described_sonars(file)]
     if as_json:
-        print(json.dumps([device.model_dump(mode="json") for device in devices], indent=2))
+        say_json([device.model_dump(mode="json") for device in devices])
         return
     for device in devices:
-        print(to_toml(device, f"--sonar '{file}#{device.name}', or this as a file"))
+        say_lines(to_toml(device, f"--sonar '{file}#{device.name}', or this as a file"))
 
 
 @app.command()
@@ -88,7 +88,7 @@ def vehicles(as_json: JsonOption = False) -> None:
         for name, table in known().items()
     ]
     if as_json:
-        print(json.dumps(rows, indent=2))
+        say_json(rows)
         return
     cells = [
         [
@@ -100,4 +100,4 @@ def vehicles(as_json: JsonOption = False) -> None:
         ]
         for row in rows
     ]
-    print_listing(["name", "mass, kg", "size, m", "thrusters", "source"], cells)
+    say_listing(["name", "mass, kg", "size, m", "thrusters", "source"], cells)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say_json, say_listing, tell
 from insonify.cli.root import (
     JsonOption,
     SetOption,
     app,
     datum_from_text,
-    print_listing,
     single_layers,
 )
 from insonify.errors import ConfigError, GeometryError
@@ -111,21 +110,20 @@ def _write(
             document["files"] = save_plan(decision.path, folder.scratch, place, voxels.origin_m)
             (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
     if as_json:
-        print(json.dumps(document, indent=2))
+        say_json(document)
     else:
-        print_listing(["what", "value"], [[key, str(value)] for key, value in document.items()])
+        say_listing(["what", "value"], [[key, str(value)] for key, value in document.items()])
     if decision.path is None:
-        print("insonify: no scan is worth flying; no path was written", file=sys.stderr)
+        tell("insonify: no scan is worth flying; no path was written")
         return
     if document["clearance_m"] < 1.0:
-        print(
+        tell(
             f"insonify: warning: the way there or the scan comes within "
-            f"{document['clearance_m']:g} m of an occupied voxel; look before it is flown",
-            file=sys.stderr,
+            f"{document['clearance_m']:g} m of an occupied voxel; look before it is flown"
         )
     if place is None:
-        print("insonify: no --datum, so no GeoJSON and no QGroundControl plan", file=sys.stderr)
-    print(f"Path: {folder.target}", file=sys.stderr)
+        tell("insonify: no --datum, so no GeoJSON and no QGroundControl plan")
+    tell(f"Path: {folder.target}")
 
 
 def _pose(text: str) -> Pose:

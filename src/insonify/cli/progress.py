@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from insonify.cli.printing import console, tell
+from insonify.names import plain
+
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress
 
 ANNOUNCEMENT = "compiling kernels, once: the next start is quick"
-
-
-def stderr() -> Console:
-    """Where messages and progress go."""
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 class Bar:
@@ -33,7 +27,7 @@ class Bar:
             name: What is going on.
             total: How much there is to do, if that is known.
         """
-        self._name, self._total = name, total
+        self._name, self._total = plain(name), total
         self._progress: Progress | None = None
         self._task: Any = None
         self._started = time.perf_counter()
@@ -46,7 +40,7 @@ class Bar:
         note: str = "",
     ) -> None:
         """Move on."""
-        self._name = self._name if name is None else name
+        self._name = self._name if name is None else plain(name)
         self._total = self._total if total is None else total
         if self._progress is not None:
             self._progress.update(
@@ -60,9 +54,9 @@ class Bar:
     def restart(self, name: str, total: int | None) -> None:
         """Begin anew with another job."""
         self._started = time.perf_counter()
-        self._name, self._total = name, total
+        self._name, self._total = plain(name), total
         if self._progress is not None:
-            self._progress.reset(self._task, total=total, description=name, note="")
+            self._progress.reset(self._task, total=total, description=self._name, note="")
 
     def rate(self, done: int) -> float:
         """Things done each second since the last `restart`."""
@@ -78,11 +72,15 @@ class Bar:
         """Draw it while the block lasts."""
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        console = stderr()
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"))
+        shown = console(stderr=True)
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[note]}", markup=False),
+        )
         with Progress(
-            *columns, TimeElapsedColumn(), console=console, transient=True,
-            disable=not console.is_terminal,
+            *columns, TimeElapsedColumn(), console=shown, transient=True,
+            disable=not shown.is_terminal,
         ) as self._progress:  # fmt: skip
             self._task = self._progress.add_task(self._name, total=self._total, note="")
             _drawn.append(self)
@@ -121,7 +119,7 @@ class _Log(logging.Handler):
         compiling = record.name == "insonify.jit" and record.levelno == logging.INFO
         if not compiling or self.compiled == 0:
             text = ANNOUNCEMENT if compiling else record.getMessage()
-            print(f"insonify: {text}", file=sys.stderr)
+            tell(f"insonify: {text}")
         if compiling:
             self.compiled += 1
             for bar in _drawn:

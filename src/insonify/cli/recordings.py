@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say_json, say_listing, tell
 from insonify.cli.progress import progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.root import (
@@ -24,7 +23,6 @@ from insonify.cli.root import (
     choices,
     file_layers,
     interruptible,
-    print_listing,
     print_report,
     single_layers,
 )
@@ -79,9 +77,9 @@ def info(
     if is_telemetry(file):
         told = summarise_poses(file, read_poses(file))
         if as_json:
-            print(json.dumps(told, indent=2))
+            say_json(told)
         else:
-            print_listing(["what", "value"], pose_rows(told))
+            say_listing(["what", "value"], pose_rows(told))
         return
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
@@ -90,11 +88,11 @@ def info(
 
         title = f"{file.name}, ping {summary['pings'] // 2 + 1} of {summary['pings']}"
         write_file(picture, draw_fan(middle, title))
-        print(f"Picture: {picture}", file=sys.stderr)
+        tell(f"Picture: {picture}")
     if as_json:
-        print(json.dumps(summary, indent=2))
+        say_json(summary)
     else:
-        print_listing(["what", "value"], summary_rows(summary))
+        say_listing(["what", "value"], summary_rows(summary))
 
 
 @app.command("map")
@@ -128,7 +126,7 @@ def map_(
         recordings = [open_recording(file, reading) for file in files]
         if threshold == "auto":
             full = _with_threshold(full, str(echo_threshold(recordings)))
-            print(f"Threshold: {full.mapping.pixel_threshold} of 255", file=sys.stderr)
+            tell(f"Threshold: {full.mapping.pixel_threshold} of 255")
         with _progress() as watch:
             remap = map_recordings(
                 recordings,
@@ -140,12 +138,12 @@ def map_(
             )
         result = save_remap(remap, place.scratch, full)
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
-        print_listing(["what", "value"], _result_rows(result))
+        say_listing(["what", "value"], _result_rows(result))
     print_report(place.target)
     if interrupted():
-        print("insonify: interrupted; what was mapped until then is kept", file=sys.stderr)
+        tell("insonify: interrupted; what was mapped until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from insonify.cli.printing import say_json, tell
 from insonify.cli.root import JsonOption, app
 
 
@@ -32,9 +31,9 @@ def report(
     with result_file(target, force=True) as scratch:
         write(scratch)
     if as_json:
-        print(json.dumps({"report": str(target)}))
+        say_json({"report": str(target)}, indent=None)
     else:
-        print(f"Report: {target}", file=sys.stderr)
+        tell(f"Report: {target}")
 
 
 def _scan_writer(run: Path) -> Callable[[Path], None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import tell
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def interruptible(
         if asked:
             raise Interrupted
         asked = True
-        print(f"insonify: {ending}", file=sys.stderr)
+        tell(f"insonify: {ending}")
 
     before = {number: signal.signal(number, ask) for number in signals or (signal.SIGINT,)}
     try:
@@ -190,21 +190,7 @@ def print_report(folder: Path) -> None:
     """Say where a result's report is; where it lies, if there is none."""
     report = folder / "report.html"
     where = f"Report: {report}" if report.is_file() else f"Results: {folder}"
-    print(where, file=sys.stderr)
-
-
-def print_listing(head: list[str], rows: list[list[str]]) -> None:
-    """A table of text on stdout."""
-    from rich.console import Console
-    from rich.table import Table as RichTable
-
-    table = RichTable()
-    for number, title in enumerate(head):
-        last = number == len(head) - 1
-        table.add_column(title, no_wrap=not last, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    tell(where)
 
 
 def numbers_of(option: str, text: str, count: int) -> list[float]:

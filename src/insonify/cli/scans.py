@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_table, tell
 from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -39,6 +38,7 @@ from insonify.cli.vehicles import (
     wall_clock,
 )
 from insonify.errors import ConfigError
+from insonify.names import file_name
 
 if TYPE_CHECKING:
     from insonify.config.settings import Table
@@ -103,7 +103,7 @@ def _scan(
     from insonify.io.folders import unused_folder
     from insonify.results.scan import run_scan
 
-    name = f"{config.scenario}-{_short(config.planner)}-seed{config.seed}"
+    name = file_name(f"{config.scenario}-{_short(config.planner)}-seed{config.seed}")
     folder = out or unused_folder(Path("insonify-runs") / name)
     page = live_page(name) if live else None
     with interruptible() as interrupted, shown_run() as show:
@@ -112,15 +112,15 @@ def _scan(
             config, folder, force=force, watch=watch, should_stop=interrupted, pace=pace
         )
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
         print_result(result)
     print_report(target)
     if interrupted():
-        print("insonify: interrupted; what was scanned until then is kept", file=sys.stderr)
+        tell("insonify: interrupted; what was scanned until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
     if page is not None:
-        print("insonify: the view stays open until Ctrl-C", file=sys.stderr)
+        tell("insonify: the view stays open until Ctrl-C")
         serve(page)
 
 
@@ -169,7 +169,6 @@ def shown_run() -> Iterator[Callable[[Run, Step], None]]:
 
 def print_result(result: ScanResult) -> None:
     """A run's figures for people."""
-    from rich.console import Console
     from rich.table import Table as RichTable
 
     title = (
@@ -181,15 +180,13 @@ def print_result(result: ScanResult) -> None:
         for match, scores in matches.items():
             values = [f"{value:.3f}" for value in scores.values()]
             table.add_row(kind, match.replace("_", " "), *values)
-    console = Console()
-    console.print(table)
+    say_table(table)
     if result.vehicle is not None:
         flown, error = result.vehicle, result.vehicle.pose_error
         perfect = flown.metrics_at_true_poses["solid"]["exact"]["f1"]
-        console.print(
+        say(
             f"{flown.name} flew {flown.time_s:.0f} s; its position was off by "
             f"{error['position_mean_m']:.2f} m in the mean, {error['position_max_m']:.2f} m at "
-            f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}.",
-            highlight=False,
+            f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}."
         )
-    console.print(result.stop_reason.sentence)
+    say(result.stop_reason.sentence)

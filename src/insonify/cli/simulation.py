@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json, say_table, tell
 from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -32,6 +31,7 @@ from insonify.cli.root import (
     world_table,
 )
 from insonify.errors import ConfigError
+from insonify.names import file_name
 
 if TYPE_CHECKING:
     from insonify.config.settings import Table
@@ -118,7 +118,7 @@ def _simulate(
 
     scene = config.scene()
     eye = Camera(config.camera) if camera else None
-    name = f"{config.world_name}-{config.sonar.name}"
+    name = file_name(f"{config.world_name}-{config.sonar.name}")
     folder = out or unused_folder(Path("insonify-runs") / name)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
         writer = ImagesWriter(config, scene.labels, place.scratch)
@@ -132,10 +132,10 @@ def _simulate(
         if mcap:
             write_mcap({"sonar": config.sonar}, config.water, place.scratch)
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
         _print_result(result)
-    print(f"Results: {place.target}", file=sys.stderr)
+    tell(f"Results: {place.target}")
     if interrupted():
         raise typer.Exit(EXIT_INTERRUPTED)
 
@@ -196,7 +196,6 @@ def _progress(config: Simulation) -> Iterator[Callable[[Record], None]]:
 
 
 def _print_result(result: ImagesResult) -> None:
-    from rich.console import Console
     from rich.table import Table as RichTable
 
     title = f"{result.world}: {result.sonar}, {result.model}, {result.renderer}"
@@ -215,7 +214,6 @@ def _print_result(result: ImagesResult) -> None:
             counts = row["pixels"] | {"shadow": row["shadow_pixels"]}
             cells.append(", ".join(f"{name} {count}" for name, count in counts.items() if count))
         table.add_row(*cells)
-    console = Console()
-    console.print(table)
+    say_table(table)
     if len(rows) > 20:
-        console.print(f"... and {len(rows) - 20} more pings")
+        say(f"... and {len(rows) - 20} more pings")

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insonify.cli.printing import say, say_json, tell
 from insonify.cli.progress import progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -39,6 +38,7 @@ from insonify.cli.vehicles import (
     wall_clock,
 )
 from insonify.errors import ConfigError
+from insonify.names import file_name
 
 if TYPE_CHECKING:
     from insonify.cli.progress import Bar
@@ -108,7 +108,7 @@ def _fly(
     from insonify.results.tour import TourWriter
 
     scene = config.scene()
-    folder = out or unused_folder(Path("insonify-runs") / f"fly-{config.world_name}")
+    folder = out or unused_folder(Path("insonify-runs") / file_name(f"fly-{config.world_name}"))
     with (
         result_folder(folder, force=force) as place,
         interruptible() as interrupted,
@@ -122,14 +122,14 @@ def _fly(
             devices = {one.name: one.sonar for one in config.sonars if result.pings[one.name]}
             write_mcap(devices, config.water, place.scratch, flown=True)
     if as_json:
-        print(json.dumps(result.to_json(), indent=2))
+        say_json(result.to_json())
     else:
         for name, count in result.pings.items():
-            print(f"{name}: {count} pings")
-        print(f"{result.path_m:.1f} m in {result.time_s:.1f} s. {result.stop_reason.sentence}")
-    print(f"Images and poses: {place.target}", file=sys.stderr)
+            say(f"{name}: {count} pings")
+        say(f"{result.path_m:.1f} m in {result.time_s:.1f} s. {result.stop_reason.sentence}")
+    tell(f"Images and poses: {place.target}")
     if interrupted():
-        print("insonify: interrupted; what was heard until then is kept", file=sys.stderr)
+        tell("insonify: interrupted; what was heard until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say, say_table
 from insonify.cli.root import choices
 from insonify.errors import ConfigError
 
@@ -80,10 +81,8 @@ def wall_clock() -> Callable[[float], None]:
 def print_navigation(table: dict[str, Any]) -> None:
     """A comparison of navigations for people."""
     from rich import box
-    from rich.console import Console
     from rich.table import Table as RichTable
 
-    console = Console()
     for name, by in table.items():
         view = RichTable(
             "", "perfect navigation", "own navigation", "difference",
@@ -91,8 +90,8 @@ def print_navigation(table: dict[str, Any]) -> None:
         )  # fmt: skip
         for key in by["cost"]:
             view.add_row(key, *(_spread(by[column][key]) for column in ("truth", "dvl", "cost")))
-        console.print(view)
-    console.print("Mean over the seeds ± half of its 95 % confidence interval.")
+        say_table(view)
+    say("Mean over the seeds ± half of its 95 % confidence interval.")
 
 
 def _spread(figure: dict[str, float | None]) -> str:

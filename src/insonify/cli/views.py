@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say_json, tell
 from insonify.cli.progress import progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.recordings import RegionOption, VoxelOption, box_from_text, map_config
@@ -45,9 +44,9 @@ def view(
     told = open_story(path, reading, how, box)
     page = Page(told.story, host, port)
     if as_json:
-        print(json.dumps({"url": page.url, "pings": told.count}), flush=True)
+        say_json({"url": page.url, "pings": told.count}, indent=None, flush=True)
     else:
-        print(f"View: {page.url}  (Ctrl-C ends it)", file=sys.stderr, flush=True)
+        tell(f"View: {page.url}  (Ctrl-C ends it)", flush=True)
     try:
         with interruptible("closing the view") as interrupted:
             with progress("reading") as bar:
@@ -67,7 +66,7 @@ def live_page(title: str) -> Page:
     from insonify.view.story import Story
 
     page = Page(Story(title))
-    print(f"View: {page.url}", file=sys.stderr)
+    tell(f"View: {page.url}")
     return page
 
 

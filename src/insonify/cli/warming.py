@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import Annotated
 
 import typer
 
+from insonify.cli.printing import say_json, tell
 from insonify.cli.progress import compiled_kernels, progress
 from insonify.cli.root import JsonOption, app
 
@@ -27,7 +26,7 @@ def warm_up(
     from insonify.jit import KERNELS, cache_folder
 
     if as_json:
-        print(json.dumps({"kernels": len(KERNELS), "compiled": compiled_kernels()}, indent=2))
+        say_json({"kernels": len(KERNELS), "compiled": compiled_kernels()})
     elif not quiet:
         kept = "" if cache_folder() is not None else "; none is kept, as no folder can be written"
-        print(f"{len(KERNELS)} kernels, {compiled_kernels()} compiled now{kept}", file=sys.stderr)
+        tell(f"{len(KERNELS)} kernels, {compiled_kernels()} compiled now{kept}")

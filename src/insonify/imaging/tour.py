@@ -38,7 +38,7 @@ Waypoint = tuple[Finite, Finite, Finite, Finite]
 class MountedSonar(Settings):
     """A sonar in its place on the vehicle."""
 
-    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="names its files")
+    name: str = Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,63}$", description="names its files")
     x_m: Finite = 0.0
     y_m: Finite = 0.0
     z_m: Finite = 0.0

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from insonify.mission.statistics import height_at, interval
 from insonify.mission.tables import AREAS, short
+from insonify.names import figure_text
 from insonify.report.fans import INK, png
 from insonify.types import Float64
 
@@ -45,7 +46,7 @@ def _draw(axes: Axes, curves: Any, score: str, along: str) -> None:
             strict=True,
         )
         colour = f"C{number % 10}"
-        axes.plot(at, means, color=colour, lw=1.4, label=", ".join(map(short, names)))
+        axes.plot(at, means, color=colour, lw=1.4, label=figure_text(", ".join(map(short, names))))
         if None not in halves:
             mean, half = np.array(means), np.array(halves, float)
             axes.fill_between(at, mean - half, mean + half, color=colour, alpha=0.18, lw=0)

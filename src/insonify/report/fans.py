@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from PIL import Image
 
+from insonify.names import figure_text
 from insonify.sonar.camera import Picture
 from insonify.sonar.truth import Truth, label_colours
 from insonify.types import Array, FanGeometry, Float32, Float64, Ping
@@ -49,7 +50,7 @@ def draw_polar(ping: Ping, title: str) -> bytes:
         ping.image, origin="lower", extent=extent, aspect="auto", cmap="copper", vmin=0, vmax=1
     )
     axes.set(xlabel="azimuth (port to starboard), degrees", ylabel="range, m")
-    axes.set_title(title, fontsize=9, color=INK)
+    axes.set_title(figure_text(title), fontsize=9, color=INK)
     figure.colorbar(picture, ax=axes, label="intensity", shrink=0.8)
     return png(figure)
 
@@ -71,7 +72,7 @@ def draw_truth(ping: Ping, truth: Truth, title: str, width_in: float = 9.0) -> b
     figure, axes = _fan_axes(geometry, extent, title, width_in)
     axes.imshow(np.dstack(channels), origin="lower", extent=extent)
     present = np.unique(truth.label[shown])
-    keys = [Patch(color=colours[k], label=truth.labels[k]) for k in present[:12]]
+    keys = [Patch(color=colours[k], label=figure_text(truth.labels[k])) for k in present[:12]]
     keys += [Patch(color=(0.16, 0.12, 0.24), label="shadow")]
     axes.legend(handles=keys, fontsize=7, loc="lower left", framealpha=0.8)
     return png(figure)
@@ -87,7 +88,7 @@ def draw_waterfall(image: Float32, bin_m: float, title: str) -> bytes:
         image, extent=(-reach, reach, 0, len(image)), aspect="auto", cmap="copper", vmin=0, vmax=1
     )
     axes.set(xlabel="slant range, m (port left)", ylabel="ping")
-    axes.set_title(title, fontsize=9, color=INK)
+    axes.set_title(figure_text(title), fontsize=9, color=INK)
     return png(figure)
 
 
@@ -99,7 +100,7 @@ def draw_soundings(points_m: Float64, title: str) -> bytes:
     figure.colorbar(dots, ax=axes, label="z, m")
     axes.set_aspect("equal")
     axes.set(xlabel="x (east), m", ylabel="y (north), m")
-    axes.set_title(title, fontsize=9, color=INK)
+    axes.set_title(figure_text(title), fontsize=9, color=INK)
     return png(figure)
 
 
@@ -161,7 +162,7 @@ def _fan_axes(
     )
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.set_title(title, fontsize=9, color=INK)
+    axes.set_title(figure_text(title), fontsize=9, color=INK)
     return figure, axes
 
 

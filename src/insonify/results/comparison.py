@@ -8,6 +8,7 @@ from pathlib import Path
 
 from insonify.config.settings import Table
 from insonify.mission.result import ComparisonResult, ScanResult
+from insonify.names import csv_cell
 from insonify.results.files import save_result
 
 
@@ -19,4 +20,4 @@ def save_comparison(rows: Sequence[ScanResult], table: Table, folder: Path) -> N
     with (folder / "rows.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, names, lineterminator="\n", restval="")
         writer.writeheader()
-        writer.writerows(flat)
+        writer.writerows({name: csv_cell(value) for name, value in row.items()} for row in flat)

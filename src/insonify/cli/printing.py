@@ -1,0 +1,71 @@
+"""The one place that prints: names that came from files are text, neither markup nor commands."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from insonify.names import plain
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+MOST_CHARACTERS = 1000
+"""Of a message: of a longer one the middle is left out."""
+
+
+def say(text: str, *, flush: bool = False) -> None:
+    """A result of one line, on stdout."""
+    print(plain(text), flush=flush)
+
+
+def say_lines(text: str) -> None:
+    """A document of ours, on stdout."""
+    for line in text.split("\n"):
+        print(plain(line))
+
+
+def say_json(told: Any, *, indent: int | None = 2, flush: bool = False) -> None:
+    """One JSON document, on stdout; JSON escapes control characters itself."""
+    print(json.dumps(told, indent=indent, default=str), flush=flush)
+
+
+def tell(text: str, *, flush: bool = False) -> None:
+    """A message, on stderr."""
+    line = plain(text)
+    if len(line) > MOST_CHARACTERS:
+        line = f"{line[: MOST_CHARACTERS - 300]} ... {line[-250:]}"
+    print(line, file=sys.stderr, flush=flush)
+
+
+def console(*, stderr: bool = False) -> Console:
+    """What draws tables and bars; no string given to it is markup."""
+    from rich.console import Console
+    from rich.text import Text
+
+    class _Plain(Console):
+        def render_str(self, text: str, **more: Any) -> Text:
+            return super().render_str(plain(text), **(more | {"markup": False, "emoji": False}))
+
+    return _Plain(stderr=stderr)
+
+
+def say_listing(head: list[str], rows: Iterable[list[str]]) -> None:
+    """A table of text, on stdout."""
+    from rich.table import Table
+
+    table = Table()
+    for number, title in enumerate(head):
+        last = number == len(head) - 1
+        table.add_column(title, no_wrap=not last, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    say_table(table)
+
+
+def say_table(table: Table) -> None:
+    """A table of rich, on stdout."""
+    console().print(table)
