@@ -14,9 +14,11 @@ SOURCE = Path(insonify.__file__).parent
 # from left to right: a room imports only from rooms before it
 LAYERS = [
     "errors",
+    "limits",
     "types",
     "extras",
     "names",
+    "pictures",
     "seeds",
     "memory",
     "jit",

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from insonify.errors import GeometryError
+from insonify.limits import FARTHEST_POSE
 
 Array = npt.NDArray[Any]
 Float32 = npt.NDArray[np.float32]
@@ -31,7 +32,7 @@ class Pose:
     Rotations are intrinsic yaw, pitch, roll (z, y, x); a positive pitch points the nose down.
 
     Raises:
-        GeometryError: A coordinate is not a finite number.
+        GeometryError: A number is not finite, or beyond `insonify.limits.FARTHEST_POSE`.
     """
 
     x_m: float
@@ -45,6 +46,11 @@ class Pose:
         if not all(map(math.isfinite, self.numbers)):
             raise GeometryError(
                 f"a pose needs six finite numbers, not {self.numbers}: check its source"
+            )
+        if max(map(abs, self.numbers)) > FARTHEST_POSE:
+            raise GeometryError(
+                f"a pose of {self.numbers} is nowhere: no number may be beyond {FARTHEST_POSE:g}; "
+                "check its source"
             )
 
     @property

@@ -75,5 +75,7 @@ def test_materials_by_name_and_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_a_material_says_what_cannot_be() -> None:
-    with pytest.raises(ConfigError, match="reflectance must be a positive number, not -1"):
+    with pytest.raises(
+        ConfigError, match="reflectance must be a positive number up to 1000, not -1"
+    ):
         Material("mirror", -1.0)

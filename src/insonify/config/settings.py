@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from insonify.errors import ConfigError
+from insonify.limits import MOST_SETTING
 
 Table = dict[str, Any]
 
@@ -17,6 +19,18 @@ class Settings(BaseModel):
     """A table of settings: frozen, and unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)  # starts sooner
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Self:
+        """Numbers so large that computing with them says nothing are no settings."""
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, float) and MOST_SETTING < abs(number) < math.inf:
+                    raise ValueError(
+                        f"{name} must not be beyond {MOST_SETTING:g}, as is {number:g}"
+                    )
+        return self
 
 
 Model = TypeVar("Model", bound=BaseModel)

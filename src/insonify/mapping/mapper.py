@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from insonify.config.settings import Settings
 from insonify.errors import ConfigError
+from insonify.limits import LEAST_VOXEL_M
 from insonify.mapping.voxels import VoxelMap
 from insonify.types import Array, FanGeometry, Float32, Float64, Ping, Pose
 
@@ -47,7 +48,7 @@ class CarvingSettings(Settings):
 class MappingSettings(Settings):
     """What every mapper needs, and a table for each mapper's own."""
 
-    voxel_m: float = Field(0.1, gt=0, le=100, description="edge length of a voxel")
+    voxel_m: float = Field(0.1, ge=LEAST_VOXEL_M, le=100, description="edge length of a voxel")
     pixel_threshold: int = Field(
         76, ge=0, le=254, description="of 255; brighter pixels are echoes (Table 1)"
     )

@@ -8,7 +8,9 @@ from functools import cached_property
 import numpy as np
 import trimesh
 
+from insonify.errors import MeshError
 from insonify.frames import directions_from_angles
+from insonify.limits import FARTHEST_M
 from insonify.scene.materials import Material, NormalMap, bend_normals
 from insonify.scene.rays import Hits, RayTracer
 from insonify.scene.seabed import Seabed
@@ -19,12 +21,24 @@ __all__ = ["Body", "Material", "Scene"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A mesh in its place, metres, world frame; its name is its label in ground truth."""
+    """A mesh in its place, metres, world frame; its name is its label in ground truth.
+
+    Raises:
+        MeshError: It lies farther away than `insonify.limits.FARTHEST_M`, or nowhere.
+    """
 
     name: str
     mesh: trimesh.Trimesh
     material: Material = Material("default")
     normal_map: NormalMap | None = None
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(self.mesh.vertices)
+        if not (np.abs(vertices) <= FARTHEST_M).all():
+            raise MeshError(
+                f"{self.name!r:.80}: in its place it is not within {FARTHEST_M:g} m of the origin; "
+                "check its size and its poses"
+            )
 
     @property
     def box(self) -> Box:

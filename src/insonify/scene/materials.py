@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 
 from insonify.config.layers import named_tables, read_table
 from insonify.errors import ConfigError, MeshError
 from insonify.jit import parallel_kernel, prange
+from insonify.limits import LAMBERT_DB, LARGEST_REFLECTANCE
+from insonify.pictures import opened_picture
 from insonify.types import Float32, Float64, Int32
 
 STEEL = (1.40, -5.5)
@@ -37,14 +38,20 @@ class Material:
     lambert_db: float = math.nan
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.reflectance < math.inf:
+        if not 0.0 < self.reflectance <= LARGEST_REFLECTANCE:
             raise ConfigError(
-                f"material {self.name!r}: reflectance must be a positive number, "
-                f"not {self.reflectance}"
+                f"material {self.name!r:.80}: reflectance must be a positive number up to "
+                f"{LARGEST_REFLECTANCE:g}, not {self.reflectance:g}"
             )
+        least_db, most_db = LAMBERT_DB
         if math.isnan(self.lambert_db):
             level = STEEL[1] + 20.0 * math.log10(self.reflectance / STEEL[0])
-            object.__setattr__(self, "lambert_db", min(level, -5.0))
+            object.__setattr__(self, "lambert_db", max(min(level, -5.0), least_db))
+        if not least_db <= self.lambert_db <= most_db:
+            raise ConfigError(
+                f"material {self.name!r:.80}: lambert_db must lie between {least_db:g} and "
+                f"{most_db:g}, not {self.lambert_db:g}"
+            )
 
 
 @cache
@@ -118,11 +125,8 @@ def read_normal_map(path: Path) -> Float32:
     Raises:
         MeshError: The file cannot be read as a picture.
     """
-    try:
-        with Image.open(path) as picture:
-            colours = np.asarray(picture.convert("RGB"), dtype=np.float32)
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as err:
-        raise MeshError(f"{path}: cannot be read as a normal map ({err})") from err
+    with opened_picture(path, "a normal map", MeshError) as picture:
+        colours = np.asarray(picture.convert("RGB"), dtype=np.float32)
     return np.ascontiguousarray(colours[::-1] / np.float32(127.5) - np.float32(1.0))
 
 

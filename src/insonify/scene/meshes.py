@@ -9,9 +9,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import trimesh
 
-from insonify.errors import MeshError
+from insonify.errors import MeshError, reading
 from insonify.extras import optional
 from insonify.frames import rotation_from_rpy
+from insonify.limits import FARTHEST_M, MOST_TRIANGLES
+from insonify.scene.parts import check_collada, check_gltf, local
+from insonify.scene.xml import parse_xml
 from insonify.types import Float64
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".gltf", ".glb", ".dae")
@@ -54,6 +57,10 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         raise MeshError(f"{path}: {bad} vertices are not finite numbers; repair the mesh")
+    if not np.abs(vertices).max(initial=0.0) * abs(scale) <= FARTHEST_M:
+        raise MeshError(
+            f"{path}: it reaches {np.abs(vertices).max():g} x {scale:g} m from its origin"
+        )
     mesh = scaled(mesh, scale)
     axis = own_up if up == "auto" else up
     if axis != "z":
@@ -74,28 +81,25 @@ def load_mesh(path: Path, scale: float = 1.0, part: str = "", up: str = "z") -> 
 def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, str]:
     """A file's mesh, or one part of it, in the file's axes, and its upward axis."""
     suffix = path.suffix.lower()
+    collada: list[ET.Element] = []
     if suffix == ".dae":
         optional("collada", "simulation", "reading COLLADA")
-    try:
+        root = parse_xml(path, MeshError)
+        check_collada(path, root)
+        collada = list(root.iter())
+    elif suffix in {".gltf", ".glb"}:
+        check_gltf(path)
+    with reading(path, "a mesh", MeshError, Exception):  # trimesh's readers raise anything
         loaded = trimesh.load_scene(path, process=False)
-        collada = list(ET.parse(path).getroot().iter()) if suffix == ".dae" else []
-    except MemoryError:
-        raise
-    except Exception as err:  # each of trimesh's readers raises errors of its own
-        reason = str(err).strip().splitlines()[0] if str(err).strip() else type(err).__name__
-        if isinstance(err, ImportError | LookupError):
-            reason = "damaged, truncated, or a part of it is missing"
-        raise MeshError(f"{path}: cannot be read as a mesh ({reason})") from err
+        placed = _placed(path, loaded)
     wanted = {part} | _meshes_of_node(collada, part)
     to_metres = _unit_m(collada, path)
     told = _texts(collada, "up_axis") | ({"Y_UP"} if suffix in {".gltf", ".glb"} else set())
     up = next((name for axis, name in _AXES.items() if axis in told), "z")
     meshes = []
-    for node in loaded.graph.nodes_geometry:
-        transform, name = loaded.graph[node]
-        mesh = loaded.geometry[name]
-        if isinstance(mesh, trimesh.Trimesh) and (not part or {node, name} & wanted):
-            meshes.append(mesh.copy())
+    for node, name, transform in placed:
+        if not part or {node, name} & wanted:
+            meshes.append(_bare(loaded.geometry[name]))
             meshes[-1].apply_transform(transform)
             meshes[-1].apply_transform(np.diag([to_metres, to_metres, to_metres, 1.0]))
     if part and not meshes:
@@ -104,30 +108,63 @@ def _read(path: Path, part: str) -> tuple[trimesh.Trimesh, str]:
     return _joined(meshes), up
 
 
+def _placed(path: Path, loaded: trimesh.Scene) -> list[tuple[str, str, Float64]]:
+    """Node, mesh and transform of each mesh in its place.
+
+    Raises:
+        MeshError: They have too many triangles, or lie nowhere.
+    """
+    placed, triangles = [], 0
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        mesh = loaded.geometry[name]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        if not np.isfinite(transform).all() or np.abs(transform).max() > FARTHEST_M:
+            raise MeshError(f"{path}: the place of its part {name!r:.80} makes no sense")
+        placed.append((str(node), str(name), np.asarray(transform, np.float64)))
+        triangles += len(mesh.faces)
+    if triangles > MOST_TRIANGLES:
+        raise MeshError(
+            f"{path}: {triangles:,} triangles are more than {MOST_TRIANGLES:,}; use a coarser mesh"
+        )
+    return placed
+
+
+def _bare(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh of its own without its pictures, which nobody needs and which may be huge."""
+    bare = trimesh.Trimesh(mesh.vertices.copy(), mesh.faces.copy(), process=False)
+    uv = getattr(mesh.visual, "uv", None)
+    return bare if uv is None else _textured(bare, np.array(uv))
+
+
 def _meshes_of_node(collada: list[ET.Element], name: str) -> set[str]:
     """The meshes of the node of a name in a COLLADA file: trimesh knows a part by its mesh only."""
     return {
         child.get("url", "").lstrip("#")
         for node in collada
-        if node.tag.endswith("}node") and name in {node.get("name"), node.get("id")}
+        if local(node) == "node" and name in {node.get("name"), node.get("id")}
         for child in node.iter()
-        if child.tag.endswith("}instance_geometry")
+        if local(child) == "instance_geometry"
     }
 
 
 def _unit_m(collada: list[ET.Element], path: Path) -> float:
     """Metres in a COLLADA file's unit; 1 for other kinds, which name none."""
     for element in collada:
-        if element.tag.endswith("}unit"):
+        if local(element) == "unit":
             try:
-                return float(element.get("meter", "1"))
-            except ValueError as err:
-                raise MeshError(f"{path}: its unit is {element.get('meter')!r} metres") from err
+                unit_m = float(element.get("meter", "1"))
+            except ValueError:
+                unit_m = math.nan
+            if not 0.0 < unit_m <= FARTHEST_M:
+                raise MeshError(f"{path}: its unit is {element.get('meter')!r:.80} metres")
+            return unit_m
     return 1.0
 
 
 def _texts(collada: list[ET.Element], tag: str) -> set[str]:
-    return {(e.text or "").strip() for e in collada if e.tag.endswith(f"}}{tag}")}
+    return {(e.text or "").strip() for e in collada if local(e) == tag}
 
 
 def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:

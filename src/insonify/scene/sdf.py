@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-import xml.parsers.expat as expat
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,31 +15,14 @@ import numpy as np
 
 from insonify.errors import WorldError
 from insonify.frames import rotation_from_rpy
+from insonify.limits import FARTHEST_M, MOST_FRAMES
+from insonify.scene.xml import parse_xml
 from insonify.types import Float64
 
 _PATH_VARIABLES = ("GZ_SIM_RESOURCE_PATH", "GAZEBO_MODEL_PATH", "IGN_GAZEBO_RESOURCE_PATH")
 _NEWEST = (1, 12)
-
-
-def parse_xml(path: Path) -> ET.Element:
-    """The root of an XML file; tags keep their prefix as it is written.
-
-    Raises:
-        WorldError: The file is missing, or not XML.
-    """
-    builder = ET.TreeBuilder()
-    parser = expat.ParserCreate()  # without namespaces: `insonify:reflectance` needs no xmlns
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(path.read_bytes(), True)
-        root = builder.close()
-    except FileNotFoundError as err:
-        raise WorldError(f"{path}: there is no such file; check the path") from err
-    except (OSError, expat.ExpatError, AssertionError) as err:
-        raise WorldError(f"{path}: cannot be read as XML ({err})") from err
-    return root
+_OWN = ("", "__model__", "world", "__root__")
+"""Names of a scope's own frame."""
 
 
 def parse_sdf(path: Path) -> ET.Element:
@@ -49,13 +31,13 @@ def parse_sdf(path: Path) -> ET.Element:
     Raises:
         WorldError: The file is missing, not XML, not SDF, or of a version not known.
     """
-    root = parse_xml(path)
+    root = parse_xml(path, WorldError)
     if root.tag != "sdf":
         raise WorldError(f"{path}: not an SDF file, its root is <{root.tag}> and not <sdf>")
     version = root.get("version", "")
-    match = re.fullmatch(r"(\d+)\.(\d+)", version.strip())
+    match = re.fullmatch(r"(\d{1,4})\.(\d{1,4})", version.strip())
     if not match or not (1, 0) <= (int(match[1]), int(match[2])) <= _NEWEST:
-        raise WorldError(f"{path}: SDF version {version!r} is not known; versions 1.0 to 1.12 are")
+        raise WorldError(f"{path}: SDF version {version!r:.40} is not known; 1.0 to 1.12 are")
     return root
 
 
@@ -87,6 +69,9 @@ class SearchPath:
 
         ``model://`` and ``package://`` names are looked up in the folders; ``file://`` and plain
         paths are absolute, or beside the file that names them, or in the folders.
+
+        Raises:
+            WorldError: A name of a model leaves the folders.
         """
         scheme, mark, rest = uri.partition("://")
         if not mark:
@@ -94,6 +79,11 @@ class SearchPath:
         rest = unquote(rest)
         if scheme not in {"model", "package", "file"}:
             return None
+        if scheme != "file" and _leaves(rest):
+            raise WorldError(
+                f"{beside}: {uri!r:.200} leaves the folders in which models are looked for; name "
+                "the file by file:// or a path if it is meant"
+            )
         roots = list(self.folders)
         if scheme == "file":
             roots = [Path("/"), beside.parent, *roots] if rest.startswith("/") else [
@@ -101,13 +91,21 @@ class SearchPath:
             ]  # fmt: skip
         for root in roots:
             found = root / rest.lstrip("/")
-            if found.exists():
-                return found
+            try:
+                if found.exists():
+                    return found
+            except (OSError, ValueError):  # too long for a name, or no name at all
+                continue
         return None
 
     def __str__(self) -> str:
         """The folders, as a message names them."""
         return ", ".join(dict.fromkeys(str(folder) for folder in self.folders)) or "nowhere"
+
+
+def _leaves(name: str) -> bool:
+    """Whether a relative name leads out of the folder it is in."""
+    return os.path.normpath(name.lstrip("/")).partition(os.sep)[0] == os.pardir
 
 
 def model_file(folder: Path) -> Path:
@@ -120,14 +118,13 @@ def model_file(folder: Path) -> Path:
         return folder
     manifest = folder / "model.config"
     found: list[tuple[tuple[int, ...], Path]] = []
-    try:
-        for entry in ET.parse(manifest).getroot().iter("sdf"):
-            version = tuple(int(n) for n in re.findall(r"\d+", entry.get("version", "0")))
-            found.append((version, folder / (entry.text or "").strip()))
-    except FileNotFoundError:
+    for entry in parse_xml(manifest, WorldError).iter("sdf") if manifest.is_file() else ():
+        version = tuple(int(n) for n in re.findall(r"\d{1,9}", entry.get("version", "0")[:40]))
+        name = (entry.text or "").strip()
+        if not _leaves(name):
+            found.append((version, folder / name))
+    if not manifest.is_file():
         found.append(((0,), folder / "model.sdf"))
-    except (OSError, ET.ParseError) as err:
-        raise WorldError(f"{manifest}: cannot be read as XML ({err})") from err
     for _, path in sorted(found, reverse=True):
         if path.is_file():
             return path
@@ -140,7 +137,8 @@ def numbers(
     """The numbers in an element's text.
 
     Raises:
-        WorldError: There are more or fewer than ``count``, or they are not finite numbers.
+        WorldError: There are more or fewer than ``count``, or they are not finite numbers, or
+            beyond `insonify.limits.FARTHEST_M`.
     """
     if element is None or not (element.text or "").strip():
         return np.array(default, np.float64)
@@ -149,11 +147,16 @@ def numbers(
         values = np.array([float(word) for word in words])
     except ValueError as err:
         raise WorldError(
-            f"{where}: <{element.tag}> holds {' '.join(words)!r}, not numbers"
+            f"{where}: <{element.tag}> holds {' '.join(words)!r:.80}, not numbers"
         ) from err
     if len(values) != count or not np.isfinite(values).all():
         raise WorldError(
-            f"{where}: <{element.tag}> needs {count} finite numbers, not {' '.join(words)!r}"
+            f"{where}: <{element.tag}> needs {count} finite numbers, not {' '.join(words)!r:.80}"
+        )
+    if (np.abs(values) > FARTHEST_M).any():
+        raise WorldError(
+            f"{where}: <{element.tag}> holds {' '.join(words)!r:.80}; no number may be beyond "
+            f"{FARTHEST_M:g}"
         )
     return values
 
@@ -181,27 +184,33 @@ class Frames:
 
     where: str
     known: dict[str, tuple[Float64, str]] = field(default_factory=dict)
+    _resolved: dict[str, Float64] = field(default_factory=dict)
 
     def add(self, name: str, pose: Float64, relative_to: str) -> None:
         """A frame with its pose in another ("" is the scope's own)."""
         self.known.setdefault(name, (pose, relative_to))
 
-    def resolve(self, pose: Float64, relative_to: str, trail: tuple[str, ...] = ()) -> Float64:
+    def resolve(self, pose: Float64, relative_to: str) -> Float64:
         """A pose given in a frame, in the scope's own frame.
 
         Raises:
             WorldError: There is no such frame, or frames hang on each other in a circle.
         """
-        if relative_to in {"", "__model__", "world", "__root__"}:
-            return pose
-        if relative_to in trail:
-            circle = " -> ".join((*trail, relative_to))
-            raise WorldError(f"{self.where}: frames hang on each other in a circle: {circle}")
-        if relative_to not in self.known:
-            raise WorldError(f"{self.where}: relative_to names no frame: {relative_to!r}")
-        base, further = self.known[relative_to]
-        turned: Float64 = self.resolve(base, further, (*trail, relative_to)) @ pose
-        return turned
+        chain: list[str] = []
+        while relative_to not in _OWN and relative_to not in self._resolved:
+            if relative_to in chain:
+                circle = " -> ".join((*chain[chain.index(relative_to) :][:8], relative_to))
+                raise WorldError(f"{self.where}: frames hang on each other in a circle: {circle}")
+            if relative_to not in self.known:
+                raise WorldError(f"{self.where}: relative_to names no frame: {relative_to!r:.80}")
+            chain.append(relative_to)
+            if len(chain) > MOST_FRAMES:
+                raise WorldError(f"{self.where}: more than {MOST_FRAMES} frames hang on each other")
+            relative_to = self.known[relative_to][1]
+        above = np.eye(4) if relative_to in _OWN else self._resolved[relative_to]
+        for name in reversed(chain):
+            above = self._resolved[name] = above @ self.known[name][0]
+        return np.asarray(above @ pose, np.float64)
 
 
 def declared_frames(scope: ET.Element, where: str) -> Iterator[tuple[str, Float64, str]]:

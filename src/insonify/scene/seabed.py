@@ -9,9 +9,14 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from insonify.errors import MeshError
+from insonify import memory
+from insonify.errors import MeshError, reading
+from insonify.limits import MOST_HEIGHTS
+from insonify.pictures import opened_picture
 from insonify.types import Array, Float64, Int32
 
+BYTES_PER_HEIGHT = 400
+"""With its two triangles, and the tree that rays go down."""
 RASTER_SUFFIXES = (".npy", ".tif", ".tiff", ".png", ".asc")
 
 
@@ -124,10 +129,8 @@ def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
         raise MeshError(f"{path}: a seabed raster ends in {', '.join(RASTER_SUFFIXES)}")
     if not path.is_file():
         raise MeshError(f"{path}: there is no such seabed raster; check the path")
-    try:
+    with reading(path, "a seabed raster", MeshError, Exception):
         heights, cell_m = _read_raster(path, cell_m)
-    except (OSError, ValueError, KeyError, IndexError, EOFError, SyntaxError, MemoryError) as err:
-        raise MeshError(f"{path}: cannot be read as a seabed raster ({err})") from err
     if heights.ndim != 2 or min(heights.shape) < 2:
         raise MeshError(f"{path}: a seabed needs a grid of at least 2 x 2, not {heights.shape}")
     if not np.isfinite(heights).all():
@@ -141,18 +144,30 @@ def raster_seabed(path: Path, *, cell_m: float, depth_m: float) -> Seabed:
 def _read_raster(path: Path, cell_m: float) -> tuple[Float64, float]:
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        array = np.load(path, allow_pickle=False)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)  # its size, before its values
+        _check_size(path, array.size)
         if array.dtype.kind not in "iuf":
             raise ValueError(f"its values are {array.dtype}, not real numbers")
         return array.astype(np.float64), cell_m
     if suffix == ".asc":
         return _read_asc(path)
-    from PIL import Image
-
-    with Image.open(path) as picture:
+    with opened_picture(path, "a seabed raster", MeshError, MOST_HEIGHTS) as picture:
+        _check_size(path, picture.width * picture.height)
         if picture.mode[0] not in "LIF1":
             raise ValueError(f"its pixels are {picture.mode}, not grey heights")
         return np.asarray(picture, dtype=np.float64), cell_m
+
+
+def _check_size(path: Path, count: int) -> None:
+    """Refuse a raster of too many heights.
+
+    Raises:
+        MeshError: It has more than `insonify.limits.MOST_HEIGHTS`, or than memory holds as a mesh.
+    """
+    if count > MOST_HEIGHTS:
+        raise MeshError(f"{path}: {count:,} heights are more than {MOST_HEIGHTS:,}; thin them out")
+    if not memory.fits(count * BYTES_PER_HEIGHT):
+        raise MeshError(f"{path}: it would need {memory.shortage(count * BYTES_PER_HEIGHT)}")
 
 
 def _read_asc(path: Path) -> tuple[Float64, float]:
@@ -172,6 +187,7 @@ def _read_asc(path: Path) -> tuple[Float64, float]:
     if not 0.0 < header["cellsize"] < np.inf:
         raise ValueError(f"its cellsize is {header['cellsize']:g}")
     heights = np.array([[float(w) for w in line.split()] for line in lines[len(header) :] if line])
+    _check_size(path, heights.size)
     size = (int(header["nrows"]), int(header["ncols"]))
     if heights.shape != size:
         raise ValueError(f"it holds a grid of {heights.shape} and its header says {size}")

@@ -10,10 +10,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import trimesh
-from PIL import Image, UnidentifiedImageError
 
+from insonify import limits, memory
 from insonify.errors import WorldError
 from insonify.frames import rotation_from_rpy
+from insonify.pictures import opened_picture
 from insonify.scene import Body, Scene
 from insonify.scene.materials import Material, NormalMap, material_named, read_normal_map
 from insonify.scene.meshes import MESH_SUFFIXES, load_mesh
@@ -31,6 +32,10 @@ from insonify.types import Float64
 
 _LIGHTS = {"sun", "sunlight", "light", "lights", "sky"}
 """Models that hold a light alone, by the names that worlds include them by."""
+
+
+BYTES_PER_TRIANGLE = 200
+"""With its share of vertices and of the tree that rays go down."""
 
 
 class WorldWarning(UserWarning):
@@ -70,12 +75,47 @@ def load_scene(
         return Scene((Body(path.stem, load_mesh(path), material),))
     if path.is_dir():
         path = model_file(path)
-    reader = _Reader(SearchPath.around(path, search), collisions, materials or {})
+    reader = _Reader(SearchPath.around(path, search), collisions, materials or {}, _Tally(path))
     bodies = reader.read(path, np.eye(4), "", ())
     if not bodies:
         kind = "collision" if collisions else "visual"
         raise WorldError(f"{path}: there is no {kind} geometry in it that echoes")
     return Scene(tuple(bodies))
+
+
+@dataclass(slots=True)
+class _Tally:
+    """What a world has asked for so far."""
+
+    world: Path
+    includes: int = 0
+    bodies: int = 0
+    triangles: int = 0
+    pixels: int = 0
+
+    def add(self, includes: int = 0, bodies: int = 0, triangles: int = 0, pixels: int = 0) -> None:
+        """Count more.
+
+        Raises:
+            WorldError: It is more than `insonify.limits` allows, or than fits into memory.
+        """
+        self.includes += includes
+        self.bodies += bodies
+        self.triangles += triangles
+        self.pixels += pixels
+        for name, count, most in (
+            ("models to include", self.includes, limits.MOST_INCLUDES),
+            ("shapes", self.bodies, limits.MOST_BODIES),
+            ("triangles", self.triangles, limits.MOST_TRIANGLES),
+            ("pixels of normal maps", self.pixels, limits.MOST_WORLD_PIXELS),
+        ):
+            if count > most:
+                raise WorldError(
+                    f"{self.world}: it asks for more than {most:,} {name}; give a smaller world"
+                )
+        needed = self.triangles * BYTES_PER_TRIANGLE + 12 * self.pixels
+        if not memory.fits(needed):
+            raise WorldError(f"{self.world}: its shapes would need {memory.shortage(needed)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +125,7 @@ class _Reader:
     search: SearchPath
     collisions: bool
     materials: Mapping[str, Material]
+    tally: _Tally
 
     def read(
         self, path: Path, world_from_file: Float64, label: str, trail: tuple[Path, ...],
@@ -93,8 +134,12 @@ class _Reader:
         """The bodies of a file; ``override`` is the pose that an include puts on its model."""
         path = path.resolve()
         if path in trail:
-            circle = " -> ".join(p.parent.name + "/" + p.name for p in (*trail, path))
+            circle = " -> ".join(p.parent.name + "/" + p.name for p in (*trail[:8], path))
             raise WorldError(f"{path}: models include each other in a circle: {circle}")
+        if len(trail) > limits.MOST_INCLUDE_DEPTH:
+            raise WorldError(
+                f"{trail[0]}: models include each other more than {limits.MOST_INCLUDE_DEPTH} deep"
+            )
         root = parse_sdf(path)
         trail = (*trail, path)
         bodies = []
@@ -140,6 +185,7 @@ class _Reader:
         self, include: ET.Element, path: Path, world_from_scope: Float64, label: str,
         trail: tuple[Path, ...], frames: Frames,
     ) -> list[Body]:  # fmt: skip
+        self.tally.add(includes=1)
         uri = (include.findtext("uri") or "").strip()
         found = self.search.find(uri, path)
         if found is None and _is_spared(uri):
@@ -151,7 +197,7 @@ class _Reader:
             return []
         if found is None:
             raise WorldError(
-                f"{path}: the included model {uri or '(no uri)'!r} is not there; looked in "
+                f"{path}: the included model {uri or '(no uri)'!r:.200} is not there; looked in "
                 f"{self.search} (--search DIR or GZ_SIM_RESOURCE_PATH adds a folder)"
             )
         override = pose_of(include, str(path)) if include.find("pose") is not None else None
@@ -170,9 +216,11 @@ class _Reader:
                 pose = np.linalg.inv(in_scope) @ frames.resolve(pose, relative)
             if not self.collisions and _is_water(shape):
                 continue
+            self.tally.add(bodies=1)
             mesh = self._geometry(shape, path, where)
             if mesh is None:
                 continue
+            self.tally.add(triangles=len(mesh.faces))
             mesh.apply_transform(world_from_link @ pose)
             material = self._material(shape, label, where)
             bodies.append(Body(label, mesh, material, self._normal_map(shape, mesh, path, where)))
@@ -202,7 +250,8 @@ class _Reader:
         found = self.search.find(uri, path)
         if found is None or not found.is_file():
             raise WorldError(
-                f"{where}: the mesh {uri or '(no uri)'!r} is not there; looked in {self.search}"
+                f"{where}: the mesh {uri or '(no uri)'!r:.200} is not there; looked in "
+                f"{self.search}"
             )
         scale = numbers(element.find("scale"), 3, [1.0, 1.0, 1.0], where)
         if not scale.all():
@@ -223,12 +272,10 @@ class _Reader:
         uri = (element.findtext("uri") or "").strip()
         found = self.search.find(uri, path)
         if found is None:
-            raise WorldError(f"{where}: the heightmap {uri!r} is not there")
-        try:
-            with Image.open(found) as picture:
-                grey = np.asarray(picture.convert("F" if picture.mode[0] in "IF" else "L"), float)
-        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as err:
-            raise WorldError(f"{found}: cannot be read as a heightmap ({err})") from err
+            raise WorldError(f"{where}: the heightmap {uri!r:.200} is not there")
+        with opened_picture(found, "a heightmap", WorldError, limits.MOST_HEIGHTS) as picture:
+            self.tally.add(triangles=2 * picture.width * picture.height)
+            grey = np.asarray(picture.convert("F" if picture.mode[0] in "IF" else "L"), float)
         rows, columns = grey.shape
         if min(rows, columns) < 2 or not (size > 0).all() or not np.isfinite(grey).all():
             raise WorldError(f"{where}: the heightmap {found.name} of {size} m is no surface")
@@ -268,7 +315,9 @@ class _Reader:
                 f"{where}: the normal map {uri} {why} and is left out", WorldWarning, stacklevel=2
             )
             return None
-        return NormalMap(read_normal_map(found), np.asarray(uv, np.float64))
+        normals = read_normal_map(found)
+        self.tally.add(pixels=normals.shape[0] * normals.shape[1])
+        return NormalMap(normals, np.asarray(uv, np.float64))
 
 
 def _is_spared(uri: str) -> bool:

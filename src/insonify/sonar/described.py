@@ -17,7 +17,8 @@ import numpy as np
 
 from insonify.errors import WorldError
 from insonify.frames import FLU_FROM_FRD, pose_from_transform, transform_from_pose
-from insonify.scene.sdf import SearchPath, model_file, parse_sdf, parse_xml, pose_of
+from insonify.scene.sdf import SearchPath, model_file, parse_sdf, pose_of
+from insonify.scene.xml import parse_xml
 from insonify.types import Float64, Pose
 
 _BINS = 500
@@ -37,7 +38,7 @@ def described_sonars(path: Path) -> list[dict[str, Any]]:
     if path.is_dir():
         path = model_file(path)
     if path.suffix == ".scn":
-        found = list(_of_scenario(parse_xml(path), path))
+        found = list(_of_scenario(parse_xml(path, WorldError), path))
     else:
         found = list(_with_included(path.resolve(), ()))
     if not found:

@@ -162,7 +162,7 @@ def test_folders_that_cannot_be_read(tmp_path: Path) -> None:
         open_recording(tmp_path / "f")
     (tmp_path / "f/poses.csv").unlink()
     (tmp_path / "f/0001.png").write_bytes(b"\x89PNG\r\n")
-    with pytest.warns(RecordingWarning, match=r"0001\.png: damaged.*left out"):
+    with pytest.warns(RecordingWarning, match=r"0001\.png: cannot be read.*left out"):
         assert len(list(open_recording(tmp_path / "f"))) == 1
     (tmp_path / "f/sonar.toml").write_text("beams = 'many'")
     with pytest.raises(ConfigError, match="beams"):

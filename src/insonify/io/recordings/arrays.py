@@ -19,7 +19,6 @@ from insonify.frames import pose_from_transform, transform_from_pose
 from insonify.io.archives import DAMAGE
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
-    MOST_PIXELS,
     SEAT_UNKNOWN,
     SIDE_UNKNOWN,
     Reading,
@@ -27,6 +26,7 @@ from insonify.io.recordings.recording import (
     scaled,
 )
 from insonify.io.recordings.simulated import TOUR, read_tour
+from insonify.limits import MOST_PIXELS
 from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 _KNOWN = {

@@ -14,12 +14,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from insonify.errors import RecordingError, reason
+from insonify.errors import RecordingError
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
-    MOST_PIXELS,
     SIDE_UNKNOWN,
     Reading,
     Recording,
@@ -27,14 +25,13 @@ from insonify.io.recordings.recording import (
     scaled,
     with_poses,
 )
+from insonify.pictures import opened_picture
 from insonify.sonar.devices import SonarDevice, named_device
 from insonify.types import Array, FanGeometry, Ping, PosedPing
 
 SUFFIXES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm"}
 POSE_FILES = ("poses.csv", "poses.txt", "poses.tum")
 DEVICE_FILE = "sonar.toml"
-_UNREADABLE = (OSError, ValueError, SyntaxError, EOFError, MemoryError, OverflowError, TypeError)
-_BROKEN = (*_UNREADABLE, IndexError, KeyError, RuntimeError, Image.DecompressionBombError)
 
 
 def read_images(path: Path, reading: Reading) -> Recording:
@@ -120,23 +117,15 @@ def _times(files: list[Path]) -> list[float] | None:
 
 
 def _pixels(file: Path) -> Array:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(file) as image:
-                width, height = image.size
-                if width * height > MOST_PIXELS:
-                    raise RecordingError(f"{file}: {width} x {height} pixels are too many")
-                if image.mode in {"L", "I", "I;16", "I;16B", "F"}:
-                    return np.array(image)
-                if image.mode == "1":
-                    return np.array(image.convert("L"))
-                colours = np.array(image.convert("RGB"))
-                if image.mode in {"CMYK", "YCbCr", "HSV"} or np.ptp(colours, axis=2).any():
-                    raise RecordingError(
-                        f"{file}: a picture in colours ({image.mode}), which do not say how loud "
-                        "an echo was; export it in grey, of 8 or 16 bits"
-                    )
-                return np.ascontiguousarray(colours[..., 0])
-    except (*_BROKEN, Image.DecompressionBombWarning) as err:
-        raise RecordingError(f"{file}: damaged, or not an image ({reason(err)})") from err
+    with opened_picture(file, "an image", RecordingError) as image:
+        if image.mode in {"L", "I", "I;16", "I;16B", "F"}:
+            return np.array(image)
+        if image.mode == "1":
+            return np.array(image.convert("L"))
+        colours = np.array(image.convert("RGB"))
+        if image.mode in {"CMYK", "YCbCr", "HSV"} or np.ptp(colours, axis=2).any():
+            raise RecordingError(
+                f"{file}: a picture in colours ({image.mode}), which do not say how loud an echo "
+                "was; export it in grey, of 8 or 16 bits"
+            )
+        return np.ascontiguousarray(colours[..., 0])

@@ -31,12 +31,12 @@ from insonify.io.recordings.recording import (
     scaled,
     span,
 )
+from insonify.limits import MOST_MESSAGE_BYTES
 from insonify.types import Array, Float64, Ping, PosedPing
 
 START = b"SO"
 _SIMPLE_PING = 0x23
 _HEADER = struct.Struct("<HHHHHIH")
-_LARGEST_MESSAGE = 64 << 20
 ELEVATION_DEG = {True: 12.0, False: 20.0}
 """Nominal height of the beams (liboculus, M1200d), above 1.5 MHz and below."""
 
@@ -137,7 +137,7 @@ def _scan_log(path: Path) -> Iterator[_Message]:
             if oculus_id == 0x4F53 and kind != _SIMPLE_PING:
                 continue
             length = _HEADER.size + payload
-            whole = length <= (_LARGEST_MESSAGE if item.packed else item.size)
+            whole = length <= (MOST_MESSAGE_BYTES if item.packed else item.size)
             start = 0 if item.packed else item.at
             message = _message(raw, start, length, version) if whole else None
             if oculus_id != 0x4F53 or message is None:
@@ -157,7 +157,7 @@ def _scan(path: Path) -> Iterator[_Message]:
             file.seek(at)
             oculus_id, _, _, kind, version, payload, _ = _HEADER.unpack(file.read(_HEADER.size))
             length = _HEADER.size + payload
-            if oculus_id != 0x4F53 or length > _LARGEST_MESSAGE:
+            if oculus_id != 0x4F53 or length > MOST_MESSAGE_BYTES:
                 lost += 1
                 at = next_start(file, at + 1, size, START)
                 continue

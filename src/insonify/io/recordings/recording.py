@@ -33,8 +33,6 @@ SEAT_UNKNOWN = (
 HEIGHT_UNKNOWN = (
     "how high its beams are is not in it; a nominal {:g} degrees is taken (--sonar says better)"
 )
-MOST_PIXELS = 64_000_000
-"""A sonar image larger than this is damage, not data."""
 
 
 class RecordingWarning(UserWarning):

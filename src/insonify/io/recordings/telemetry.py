@@ -18,9 +18,9 @@ import numpy as np
 from insonify.errors import RecordingError, reason
 from insonify.extras import optional
 from insonify.frames import enu_from_ned, quaternion_from_rotation, transform_from_pose
+from insonify.limits import MOST_LOG_BYTES
 from insonify.types import Float64, Pose
 
-MOST_BYTES = 1 << 30
 _ATTITUDE, _POSITION = "ATTITUDE", "LOCAL_POSITION_NED"
 _NO_AUTOPILOT = 8
 _EARLIEST_S, _LATEST_S = 9e8, 4e9
@@ -45,7 +45,7 @@ def read_telemetry(path: Path) -> Float64:
     """
     if not path.is_file():
         raise RecordingError(f"{path}: there is no such telemetry log; check the path")
-    if path.stat().st_size > MOST_BYTES:
+    if path.stat().st_size > MOST_LOG_BYTES:
         raise RecordingError(f"{path}: larger than 1 GiB, so not a telemetry log")
     mavutil = optional("pymavlink.mavutil", "mavlink", "a telemetry log (.tlog)")
     try:

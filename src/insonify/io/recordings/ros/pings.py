@@ -21,9 +21,10 @@ from PIL import Image
 from insonify.frames import compose, pose_from_transform
 from insonify.io.recordings.beams import EvenFan, even_fan
 from insonify.io.recordings.ping360 import BEAM_DEG
-from insonify.io.recordings.recording import HEIGHT_UNKNOWN, MOST_PIXELS, Reading
+from insonify.io.recordings.recording import HEIGHT_UNKNOWN, Reading
 from insonify.io.recordings.ros.directions import BeamPlane, beam_plane
 from insonify.io.recordings.ros.messages import DTYPES
+from insonify.limits import MOST_PIXELS
 from insonify.types import Array, Float64, Ping, Pose
 
 ELEVATION_DEG = 20.0
