@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
+import sys
+import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +20,7 @@ import pytest
 from benchmarks.chromium import chromium, missing
 from hypothesis import settings
 
+from insonify.cli import main
 from insonify.mapping.voxels import IN_VIEW, OBSERVED, VoxelMap
 from insonify.types import Float32, Float64, Pose
 from insonify.vehicle.craft import Craft
@@ -99,3 +104,39 @@ def browser(open_chromium: Any) -> Any:
     open_chromium.get("about:blank")
     open_chromium.get_log("browser")
     return open_chromium
+
+
+LONGEST_S = 30.0
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., str]]:
+    """The command line with its boundary, in this process; what it printed on stderr.
+
+    It must end with bad input, one line, no trace, and nothing left; with ``code=0``, well.
+    """
+    monkeypatch.chdir(tmp_path)
+    told, heard = warnings.showwarning, signal.getsignal(signal.SIGINT)
+
+    def command(*words: str, code: int = 2) -> str:
+        before = {path.name for path in tmp_path.iterdir()}
+        monkeypatch.setattr(sys, "argv", ["insonify", *words])
+        started = time.monotonic()
+        with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
+            warnings.simplefilter("default")
+            main()
+        shown = capsys.readouterr().err
+        lines = [line for line in shown.splitlines() if "warning:" not in line]
+        assert (ended.value.code or 0) == code, shown
+        assert time.monotonic() - started < LONGEST_S
+        if code:
+            assert len(lines) == 1 and lines[0].startswith("insonify: "), shown
+            assert len(lines[0]) <= 1000 and lines[0].isprintable()
+            assert {path.name for path in tmp_path.iterdir()} == before
+        return shown
+
+    yield command
+    warnings.showwarning = told
+    signal.signal(signal.SIGINT, heard)

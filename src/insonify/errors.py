@@ -86,7 +86,8 @@ def reading(
     except InsonifyError:
         raise
     except FileNotFoundError as err:
-        raise error(f"{path}: there is no such file; check the path") from err
+        noun = what.removeprefix("a ").removeprefix("an ")
+        raise error(f"{path}: there is no such {noun}; check the path") from err
     except MemoryError as err:
         raise error(f"{path}: more than the memory that is free is needed to read it") from err
     except OSError as err:

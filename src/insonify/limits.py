@@ -10,6 +10,9 @@ MOST_PIXELS = 64_000_000
 MOST_HEIGHTS = 25_000_000
 """Of a height map or seabed, which become twice as many triangles; 5000 x 5000 are inside."""
 
+MOST_TOML_BYTES = 16 << 20
+MOST_KEY_DOTS = 100
+"""Of a TOML key; what reads them keeps every beginning of one."""
 MOST_XML_BYTES = 256 << 20
 MOST_XML_DEPTH = 200
 MOST_XML_ELEMENTS = 2_000_000
@@ -44,13 +47,13 @@ MOST_MESSAGE_BYTES = 64 << 20
 """Of one message of a device."""
 MOST_CHUNK_BYTES = 256 << 20
 """A chunk of an MCAP, unpacked; recorders write some megabytes."""
-MOST_CHUNK_RATIO = 2_000
-"""Of a chunk unpacked to packed, beyond a megabyte."""
+LEAST_CHUNK_BYTES, CHUNK_GROWTH = 16 << 20, 2_000
+"""A chunk may unpack to so many bytes whatever its size, and to more by so many times its size."""
 MOST_DEFINITION_BYTES = 1 << 20
-MOST_FIELDS = 2_000
-"""Of a message's definition with all it names."""
-MOST_MESSAGE_ITEMS = 64_000_000
-"""Items of an array whose length a message's definition fixes."""
+MOST_FIELDS, MOST_FIELDS_IN_ALL = 2_000, 50_000
+"""Of a message's definition with all it names, and of all definitions of a bag."""
+MOST_UNROLLED = 2_000
+"""Strings and messages in arrays whose length a definition fixes; numbers do not count."""
 
 LEAST_BLOCKS, BLOCKS_PER_BYTE = 100_000, 64
 """A tree of an OctoMap may unfold to so many blocks whatever its size, and to more by its bytes."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.printing import say, say_json, tell
 from insonify.cli.progress import progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.root import JsonOption, app
@@ -65,11 +64,11 @@ def explain(
     if picture is not None:
         _draw(told, picture)
     if as_json:
-        print(json.dumps(_document(told), indent=2))
+        say_json(_document(told))
     else:
         _print(told)
     if told.differing:
-        print(f"insonify: warning: {_difference(told)}", file=sys.stderr)
+        tell(f"insonify: warning: {_difference(told)}")
 
 
 def _draw(told: Explanation, picture: Path) -> None:
@@ -78,10 +77,10 @@ def _draw(told: Explanation, picture: Path) -> None:
 
     glimpses = told.telling(_TILES)
     if not glimpses:
-        print("insonify: no ping has it in view, so there is no picture", file=sys.stderr)
+        tell("insonify: no ping has it in view, so there is no picture")
         return
     write_file(picture, draw_glimpses(glimpses, _heading(told)))
-    print(f"Picture: {picture}", file=sys.stderr)
+    tell(f"Picture: {picture}")
 
 
 def _probability(log_odds: float) -> float:
@@ -137,9 +136,9 @@ def _row(one: Glimpse) -> dict[str, Any]:
 
 
 def _print(told: Explanation) -> None:
-    print(_heading(told))
+    say(_heading(told))
     if not told.glimpses:
-        print(f"None of {told.pings} pings reaches it: it was never looked at.")
+        say(f"None of {told.pings} pings reaches it: it was never looked at.")
         return
     several = len({one.recording for one in told.glimpses}) > 1
     rows = [_HEAD, *(_cells(one) for one in told.glimpses)]
@@ -149,8 +148,8 @@ def _print(told: Explanation) -> None:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for *cells, last in rows:
         padded = (cell.rjust(width) for cell, width in zip(cells, widths, strict=False))
-        print("  ".join([*padded, last]).rstrip())
-    print(f"{len(told.glimpses)} of {told.pings} pings reach it or change it.")
+        say("  ".join([*padded, last]).rstrip())
+    say(f"{len(told.glimpses)} of {told.pings} pings reach it or change it.")
 
 
 def _cells(one: Glimpse) -> tuple[str, ...]:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from insonify.config.settings import Table
-from insonify.errors import ConfigError
+from insonify.errors import ConfigError, reading
+from insonify.limits import MOST_KEY_DOTS, MOST_TOML_BYTES
 
 FILE_KEYS = (
     ("world",),
@@ -40,12 +41,16 @@ def read_table(path: Path, what: str = "config file") -> Table:
     Raises:
         ConfigError: The file is missing or not TOML.
     """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as err:
-        raise ConfigError(f"{path}: there is no such {what}; check the path") from err
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as err:
-        raise ConfigError(f"{path}: cannot be read as TOML ({err})") from err
+    with reading(path, what, ConfigError), path.open("rb") as file:
+        raw = file.read(MOST_TOML_BYTES + 1)
+    if len(raw) > MOST_TOML_BYTES:
+        raise ConfigError(f"{path}: more than {MOST_TOML_BYTES >> 20} MiB are no {what}")
+    with reading(path, "TOML", ConfigError, ValueError, RecursionError):
+        text = raw.decode("utf-8").replace("\r\n", "\n")
+        if any(part.count(".") > MOST_KEY_DOTS for line in text.split("\n")
+               for part in line.split(",")):  # fmt: skip
+            raise ConfigError(f"{path}: a key has more than {MOST_KEY_DOTS} parts")
+        return tomllib.loads(text)
 
 
 def read_layer(path: Path) -> Table:
@@ -91,7 +96,7 @@ def parse_setting(text: str) -> Table:
         raise ConfigError(f"--set takes KEY=VALUE, as in mapping.voxel_m=0.2, not {text!r}")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         parsed = value
     for part in reversed(key.strip().split(".")):
         parsed = {part: parsed}

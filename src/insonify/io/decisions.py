@@ -52,6 +52,8 @@ def load_decisions(path: Path) -> tuple[tuple[DecisionRecord, ...], tuple[ScanPa
     arrays = read_archive(path, FORMAT, VERSION, RecordingError)
     try:
         poses, scans = _poses(arrays["flown"]), arrays["flown_scan"].tolist()
+        if max(scans, default=0) > len(scans):
+            raise ValueError("it counts more scans than poses")
         if scans and set(scans) != set(range(1, max(scans) + 1)):
             raise ValueError("scans are missing")
         flown = [
@@ -60,8 +62,8 @@ def load_decisions(path: Path) -> tuple[tuple[DecisionRecord, ...], tuple[ScanPa
         ]
         records = tuple(
             _record(int(pings), {
-                name.removeprefix(f"{number}_"): values
-                for name, values in arrays.items() if name.startswith(f"{number}_")
+                name.removeprefix(f"{number}_"): arrays[name]
+                for name in arrays if name.startswith(f"{number}_")
             })
             for number, pings in enumerate(arrays["pings"])
         )  # fmt: skip

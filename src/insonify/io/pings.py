@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +159,7 @@ def _geometry_arrays(geometry: FanGeometry) -> dict[str, Array]:
     return {"fan": np.array(fan), "mount": _six(geometry.mount)}
 
 
-def _geometry(arrays: dict[str, Array], image: Array) -> FanGeometry:
+def _geometry(arrays: Mapping[str, Array], image: Array) -> FanGeometry:
     azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
     bins, beams = image.shape
     return FanGeometry(azimuth, elevation, beams, bins, near, far, _pose(arrays["mount"]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from insonify.errors import RecordingError
+from insonify.errors import RecordingError, reading
 from insonify.io.recordings.poses import read_poses
 
 _NEEDED = ("x_m", "y_m", "z_m")
@@ -48,7 +48,8 @@ def read_route(path: Path) -> Route:
     if not lines:
         raise RecordingError(f"{path}: there are no poses in it")
     named = any(name in lines[0][1] for name in _NEEDED)
-    route = _table(path, lines) if named else _tum(path)
+    with reading(path, "a table of poses", RecordingError, csv.Error):
+        route = _table(path, lines) if named else _tum(path)
     if route.timed:
         for before, after in pairwise(row[0] for row in route.rows):
             if not after > before:

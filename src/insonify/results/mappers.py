@@ -44,9 +44,5 @@ def load_state(mapper: Mapper, folder: Path) -> None:
             f"{path}: the state of mapper {arrays.get('mapper')}, not of {mapper.name}"
         )
     mapper.load(
-        {
-            name.removeprefix("state_"): values
-            for name, values in arrays.items()
-            if name.startswith("state_")
-        }
+        {name.removeprefix("state_"): arrays[name] for name in arrays if name.startswith("state_")}
     )

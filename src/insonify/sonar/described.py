@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -17,6 +18,7 @@ import numpy as np
 
 from insonify.errors import WorldError
 from insonify.frames import FLU_FROM_FRD, pose_from_transform, transform_from_pose
+from insonify.limits import MOST_INCLUDE_DEPTH, MOST_INCLUDES
 from insonify.scene.sdf import SearchPath, model_file, parse_sdf, pose_of
 from insonify.scene.xml import parse_xml
 from insonify.types import Float64, Pose
@@ -40,7 +42,7 @@ def described_sonars(path: Path) -> list[dict[str, Any]]:
     if path.suffix == ".scn":
         found = list(_of_scenario(parse_xml(path, WorldError), path))
     else:
-        found = list(_with_included(path.resolve(), ()))
+        found = list(_with_included(path.resolve(), (), count(1)))
     if not found:
         raise WorldError(f"{path}: no sensor in it is described as an imaging sonar")
     return found
@@ -64,8 +66,15 @@ def described_sonar(name: str) -> dict[str, Any]:
     return found[0]
 
 
-def _with_included(path: Path, trail: tuple[Path, ...]) -> Iterator[dict[str, Any]]:
+def _with_included(
+    path: Path, trail: tuple[Path, ...], files: Iterator[int]
+) -> Iterator[dict[str, Any]]:
     """The sonars of an SDF file and of the models it includes, as far as they are there."""
+    if next(files) > MOST_INCLUDES or len(trail) > MOST_INCLUDE_DEPTH:
+        raise WorldError(
+            f"{(*trail, path)[0]}: it includes more than {MOST_INCLUDES:,} models, or more than "
+            f"{MOST_INCLUDE_DEPTH} deep"
+        )
     root = parse_sdf(path)
     yield from _of_sdf(root, path)
     search = SearchPath.around(path)
@@ -73,7 +82,7 @@ def _with_included(path: Path, trail: tuple[Path, ...]) -> Iterator[dict[str, An
         found = search.find((include.findtext("uri") or "").strip(), path)
         model = None if found is None else model_file(found).resolve()
         if model is not None and model not in (*trail, path):
-            yield from _with_included(model, (*trail, path))
+            yield from _with_included(model, (*trail, path), files)
 
 
 def _of_sdf(root: ET.Element, path: Path) -> Iterator[dict[str, Any]]:

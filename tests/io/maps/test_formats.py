@@ -171,7 +171,7 @@ def test_trees_that_announce_too_much_are_refused_before_they_are_read(tmp_path:
     head = b"# Octomap OcTree file\nid OcTree\nsize %d\nres %s\ndata\n"
     whole_world = b"\0\0\x80\x3f\0"
     for size, resolution, data, words in (
-        (1, b"0.1", whole_world, "GB"),
+        (1, b"0.1", whole_world, "unfold"),
         (10**15, b"0.1", whole_world, "cannot hold"),
         (1, b"nan", whole_world, "makes no sense"),
         (1, b"-1", whole_world, "makes no sense"),

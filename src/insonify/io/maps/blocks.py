@@ -10,6 +10,7 @@ import numpy as np
 
 from insonify import memory
 from insonify.errors import MapFileError
+from insonify.limits import LARGEST_VOXEL_M, LEAST_VOXEL_M
 from insonify.mapping.voxels import (
     BYTES_PER_VOXEL,
     FARTHEST_BLOCK,
@@ -54,8 +55,9 @@ def map_from_blocks(
     shapes = (coords.shape, log_odds.shape, seen.shape)
     if shapes != ((blocks, 3), (blocks, VOXELS_PER_BLOCK), (blocks, VOXELS_PER_BLOCK)):
         raise MapFileError(f"{path}: damaged, its arrays have shapes {shapes}")
-    if not (np.isfinite(log_odds).all() and 0.0 < voxel_m < np.inf):
+    if not np.isfinite(log_odds).all():
         raise MapFileError(f"{path}: damaged, it holds numbers that are not finite")
+    check_voxel(path, voxel_m)
     far = blocks and int(np.abs(coords.astype(np.int64)).max()) >= FARTHEST_BLOCK
     known = IN_VIEW | OBSERVED | SURFACE
     if far or len(np.unique(coords, axis=0)) != blocks or (seen > known).any():
@@ -92,6 +94,16 @@ def cropped(voxels: VoxelMap, region: Box) -> VoxelMap:
     part.log_odds[slots] = voxels.log_odds[kept]
     part.seen[slots] = voxels.seen[kept]
     return part
+
+
+def check_voxel(path: Path, voxel_m: float) -> None:
+    """Refuse a file whose voxels are of a size that makes no sense.
+
+    Raises:
+        MapFileError: They are.
+    """
+    if not LEAST_VOXEL_M <= voxel_m <= LARGEST_VOXEL_M:
+        raise MapFileError(f"{path}: damaged, a resolution of {voxel_m:g} m makes no sense")
 
 
 def check_memory(path: Path, blocks: int) -> None:

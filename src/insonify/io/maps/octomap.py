@@ -9,16 +9,16 @@ A voxel that no echo or silence has spoken about is left out, which is OctoMap's
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
 
-from insonify.errors import MapFileError, OutputError
-from insonify.io.maps.blocks import MOST_LOG_ODDS, check_memory
+from insonify.errors import MapFileError, OutputError, reading
+from insonify.io.maps.blocks import MOST_LOG_ODDS, check_memory, check_voxel
 from insonify.io.maps.octree import CENTRE_KEY, DEPTH, Level, places, pruned_tree, separate
 from insonify.io.maps.sidecar import load_origin, save_origin
 from insonify.jit import kernel
+from insonify.limits import BLOCKS_PER_BYTE, LEAST_BLOCKS
 from insonify.mapping.voxels import BLOCK, IN_VIEW, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
 from insonify.types import Array, Float32, Int64
 
@@ -67,7 +67,8 @@ def load_octomap(path: Path) -> VoxelMap:
     Raises:
         MapFileError: The file is no such tree, or is damaged.
     """
-    content = path.read_bytes()
+    with reading(path, "an OctoMap", MapFileError):
+        content = path.read_bytes()
     voxel_m, size, start = _read_header(path, content)
     binary = path.suffix == ".bt"
     data = np.frombuffer(content, np.uint8)[start:]
@@ -81,7 +82,8 @@ def load_octomap(path: Path) -> VoxelMap:
         raise MapFileError(f"{path}: damaged, its nodes are not the {size} that it announces")
     if not (np.abs(value) <= MOST_LOG_ODDS).all():
         raise MapFileError(f"{path}: damaged, it holds log-odds beyond {MOST_LOG_ODDS:g}")
-    return _map_from_leaves(path, voxel_m, code, depth, value)
+    most = LEAST_BLOCKS + BLOCKS_PER_BYTE * len(content)
+    return _map_from_leaves(path, voxel_m, code, depth, value, most)
 
 
 def _float_nodes(levels: list[Level]) -> bytes:
@@ -128,17 +130,24 @@ def _read_header(path: Path, content: bytes) -> tuple[float, int, int]:
         voxel_m, size = float(fields["res"]), int(fields["size"])
     except (KeyError, ValueError) as err:
         raise MapFileError(f"{path}: damaged, its header lacks a resolution or a size") from err
-    if not (0.0 < voxel_m < math.inf and size >= 0):
-        raise MapFileError(f"{path}: damaged, a resolution of {voxel_m:g} m makes no sense")
+    check_voxel(path, voxel_m)
+    if size < 0:
+        raise MapFileError(f"{path}: damaged, it announces {size} nodes")
     return voxel_m, size, len(head) + len(found)
 
 
 def _map_from_leaves(
-    path: Path, voxel_m: float, code: Int64, depth: Array, value: Float32
+    path: Path, voxel_m: float, code: Int64, depth: Array, value: Float32, most: int
 ) -> VoxelMap:
     """A map of leaves of any depth; one above a block's depth fills whole blocks."""
-    across = 3 * np.maximum(_BLOCK_DEPTH - depth, 0)
-    check_memory(path, int((np.int64(1) << across).sum()) if (depth < _BLOCK_DEPTH).any() else 0)
+    across = 3 * np.maximum(_BLOCK_DEPTH - depth.astype(np.int64), 0)
+    unfolded = float((2.0**across).sum()) if (depth < _BLOCK_DEPTH).any() else 0.0
+    if unfolded > most:
+        raise MapFileError(
+            f"{path}: its {path.stat().st_size:,} bytes unfold to {unfolded:.3g} blocks, more than "
+            f"{most:,}; write the map with finer leaves if it is meant"
+        )
+    check_memory(path, int(unfolded))
     first = code << (3 * (DEPTH - depth).astype(np.int64))
     found = [first[:0]]
     for d in np.unique(depth):

@@ -7,16 +7,14 @@ nothing is unpickled.
 from __future__ import annotations
 
 import math
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from insonify import memory
 from insonify.errors import RecordingError, reason
 from insonify.frames import pose_from_transform, transform_from_pose
-from insonify.io.archives import DAMAGE
+from insonify.io.archives import DAMAGE, check_sizes
 from insonify.io.recordings.beams import unit_pixels
 from insonify.io.recordings.recording import (
     SEAT_UNKNOWN,
@@ -43,7 +41,7 @@ def read_arrays(path: Path, reading: Reading) -> Recording:
     """
     try:
         with path.open("rb") as file:
-            _check_sizes(path, file.name)
+            check_sizes(path, _KNOWN | TOUR, RecordingError)
             archive = np.load(file, allow_pickle=False)
             if "log_odds" in archive.files:
                 raise RecordingError(f"{path}: a map, not a recording; see `insonify plan`")
@@ -119,42 +117,6 @@ def save_arrays(path: Path, pings: list[PosedPing]) -> None:
 
 def _numbers(pose: Pose) -> list[float]:
     return [*pose.position_m, pose.roll_rad, pose.pitch_rad, pose.yaw_rad]
-
-
-def _check_sizes(path: Path, name: str) -> None:
-    """Refuse arrays that are larger than their archive can honestly hold, before they are made.
-
-    Raises:
-        RecordingError: An array is larger than the bytes that hold it, or than memory.
-    """
-    total = 0
-    with zipfile.ZipFile(name) as archive:
-        for entry in archive.infolist():
-            if entry.filename.removesuffix(".npy") not in _KNOWN | TOUR:
-                continue
-            with archive.open(entry) as stream:
-                version = np.lib.format.read_magic(stream)
-                read_header = {
-                    (1, 0): np.lib.format.read_array_header_1_0,
-                    (2, 0): np.lib.format.read_array_header_2_0,
-                }.get(version)
-                if read_header is None:
-                    raise ValueError(f"array {entry.filename} is of version {version}")
-                shape, _, kind = read_header(stream)
-            honest = math.prod(shape) * kind.itemsize
-            if not 0 <= honest <= entry.file_size:
-                raise RecordingError(
-                    f"{path}: damaged, array {entry.filename.removesuffix('.npy')} of shape "
-                    f"{shape} does not fit into the {entry.file_size} bytes that hold it"
-                )
-            total += honest
-            if entry.file_size > 1100 * entry.compress_size + 4096:  # deflate's limit is 1032
-                raise RecordingError(f"{path}: damaged, array {entry.filename} is a false size")
-    if not memory.fits(2.0 * total):
-        raise RecordingError(
-            f"{path}: its arrays need {memory.shortage(2.0 * total)}; split it into recordings of "
-            "fewer pings"
-        )
 
 
 def _images(path: Path, arrays: dict[str, Array]) -> Array:

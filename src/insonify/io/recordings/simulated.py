@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from insonify.errors import RecordingError, reason
-from insonify.io.archives import DAMAGE
+from insonify.io.archives import DAMAGE, Archive
 from insonify.io.pings import is_sweep, load_ping, load_sweep
 from insonify.io.recordings.recording import (
     Reading,
@@ -71,7 +71,7 @@ def read_tour(path: Path, reading: Reading) -> Recording:
         RecordingError: Its arrays do not fit together.
     """
     try:
-        arrays = dict(np.load(path, allow_pickle=False))
+        arrays = Archive(path, RecordingError)
         azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
         images, times = arrays["images"], arrays["time_s"]
         count, bins, beams = images.shape

@@ -16,29 +16,32 @@ from typing import Any
 import apsw
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.highlevel.anyreader import AnyReaderError
+from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import ReaderError as Ros1Error
+from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import ReaderError as Ros2Error
 from rosbags.serde import SerdeError
 from rosbags.typesys import (
     Stores,
     TypesysError,
-    get_types_from_idl,
-    get_types_from_msg,
     get_typestore,
 )
 from rosbags.typesys.store import Typestore
 
 from insonify.errors import RecordingError, reason
 from insonify.io.recordings.magic import MCAP_MAGIC, ROS1_MAGIC
+from insonify.io.recordings.ros.definitions import Definitions
+from insonify.io.recordings.ros.mcap_chunks import unpacked
 from insonify.io.recordings.ros.messages import message_types
 from insonify.io.recordings.ros.ros1_records import check_records
 
 ROS1 = "ROS 1 bag"
-MOST_CHUNK_BYTES = 1 << 30
+_ENCODINGS = {"MSG": "ros2msg", "IDL": "ros2idl"}
+"""Of rosbags' formats of definitions."""
 DAMAGE = (
     ArithmeticError,
     AssertionError,
@@ -107,17 +110,18 @@ def open_bag(path: Path, head: bytes) -> Bag:
 def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]:
     channels: dict[int, tuple[str, str, Typestore]] = {}
     schemas: dict[int, Schema] = {}
+    definitions = Definitions()
     with bag.path.open("rb") as file:
         size = bag.path.stat().st_size
         reader = StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=size)
-        records = _unpacked(reader)
+        records = unpacked(reader)
         while True:
             try:
                 record = next(records, None)
                 if isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel) and record.id not in channels:
-                    channels[record.id] = _channel(record, schemas)
+                    channels[record.id] = _channel(record, schemas, definitions)
                 if not isinstance(record, Message):
                     if record is None:
                         return
@@ -130,36 +134,14 @@ def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]
                 yield BagMessage(topic, kind, record.log_time, _decoder(store, record.data, kind))
 
 
-def _unpacked(reader: StreamReader) -> Iterator[Any]:
-    """Records in order, chunks taken apart."""
-    for record in reader.records:
-        if not isinstance(record, Chunk):
-            yield record
-        elif record.uncompressed_size > MOST_CHUNK_BYTES:
-            raise ValueError(f"a chunk says that it unpacks to {record.uncompressed_size} bytes")
-        else:
-            yield from breakup_chunk(record, validate_crc=True)
-
-
-def _channel(channel: Channel, schemas: dict[int, Schema]) -> tuple[str, str, Typestore]:
+def _channel(
+    channel: Channel, schemas: dict[int, Schema], definitions: Definitions
+) -> tuple[str, str, Typestore]:
     """Topic, type and types of a channel; a type that cannot be decoded is told when it is used."""
     schema = schemas[channel.schema_id]
-    text = schema.data.decode()
     store = get_typestore(Stores.EMPTY)
-    if schema.encoding == "ros2msg":
-        store.register(get_types_from_msg(text, schema.name))
-    elif schema.encoding in {"ros2idl", "omgidl"}:
-        store.register(_from_idl(text))
+    store.register(definitions.types(schema.data.decode(), schema.name, schema.encoding))
     return channel.topic, schema.name, store
-
-
-def _from_idl(text: str) -> Any:
-    rule = "=" * 80 + "\n"
-    types: Any = {}
-    parts = text.split(rule)[1:] if text.startswith(f"{rule}IDL: ") else [text]
-    for part in parts:
-        types |= get_types_from_idl(part.split("\n", 1)[1] if part is not text else part)
-    return types
 
 
 def _decoder(store: Typestore, data: bytes, kind: str) -> Callable[[], Any]:
@@ -170,6 +152,7 @@ def _read_rosbags(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessa
     try:
         if bag.path.is_file() and bag.format == ROS1:
             check_records(bag.path)
+        _check_definitions(bag)
         with AnyReader([bag.path], default_typestore=message_types()) as reader:
             wanted = [c for c in reader.connections if topics is None or c.topic in topics]
             if not wanted:
@@ -191,6 +174,19 @@ def _read_rosbags(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessa
         raise RecordingError(
             f"{bag.path}: damaged, or not a whole {bag.format} ({reason(err)})"
         ) from err
+
+
+def _check_definitions(bag: Bag) -> None:
+    """Look at a bag's definitions before `AnyReader` reads them.
+
+    Raises:
+        ValueError: One asks for too much.
+    """
+    definitions = Definitions()
+    with Ros1Reader(bag.path) if bag.format == ROS1 else Ros2Reader(bag.path) as plain:
+        for connection in plain.connections:
+            told = connection.msgdef
+            definitions.types(told.data, connection.msgtype, _ENCODINGS.get(told.format.name, ""))
 
 
 def _reader_decoder(reader: AnyReader, data: bytes, kind: str) -> Callable[[], Any]:
