@@ -66,7 +66,9 @@ def cache_folder() -> Path | None:
                 pass
             _forget_others(place, name)
             return place / name
-    _log.warning("no folder can be written for compiled kernels; each start compiles them anew")
+    _log.warning(
+        "no folder can be written for compiled kernels; each start compiles them anew, slowly"
+    )
     return None
 
 

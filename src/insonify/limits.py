@@ -57,3 +57,6 @@ MOST_UNROLLED = 2_000
 
 LEAST_BLOCKS, BLOCKS_PER_BYTE = 100_000, 64
 """A tree of an OctoMap may unfold to so many blocks whatever its size, and to more by its bytes."""
+
+LEAST_ADDRESS_SPACE_BYTES = 1536 << 20
+"""Not of a file: what ``ulimit -v`` must leave for numba, LLVM and the ray tracer to be loaded."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import subprocess
 import sys
 import zlib
 from collections.abc import Callable
@@ -265,3 +266,21 @@ def test_absurd_numbers(run: Run, words: tuple[str, ...]) -> None:
     more = "<material><insonify:lambert_db>1e308</insonify:lambert_db></material></visual>"
     Path("m.toml.sdf").write_text(MODEL.format(shape.replace("</visual>", more)))
     run(*words)
+
+
+def test_an_address_space_that_is_too_small_is_a_sentence() -> None:
+    """Short of it, what loads the libraries ends in a segmentation fault."""
+    for mib in (100, 700, 1500):
+        line = f'ulimit -v {mib << 10}; exec "{sys.executable}" -m insonify scenarios'
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+        assert done.returncode == 2 and done.stdout == ""
+        assert done.stderr.startswith("insonify: the address space is limited")
+        assert done.stderr.count("\n") == 1
+
+
+def test_who_stops_reading_is_not_shown_a_trace() -> None:
+    words = [sys.executable, "-m", "insonify", "config", "tetrapod"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""

@@ -113,11 +113,13 @@ class _Log(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.INFO)
         self.compiled = 0
+        self.uncached = False  # as was said, so that no quick start is promised
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show one message."""
         compiling = record.name == "insonify.jit" and record.levelno == logging.INFO
-        if not compiling or self.compiled == 0:
+        self.uncached |= record.name == "insonify.jit" and not compiling
+        if not compiling or (self.compiled == 0 and not self.uncached):
             text = ANNOUNCEMENT if compiling else record.getMessage()
             tell(f"insonify: {text}")
         if compiling:
@@ -135,6 +137,7 @@ def show_log() -> None:
     log.setLevel(logging.INFO)
     log.propagate = False
     log.handlers[:] = [_shown]
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # that its cache is nowhere is no news
 
 
 def compiled_kernels() -> int:
