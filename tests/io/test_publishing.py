@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import insonify.io.folders
+import insonify.io.scratch
 from insonify.errors import OutputError
 from insonify.io.folders import result_file, result_folder
 from insonify.io.maps.sidecar import load_origin
@@ -208,7 +209,7 @@ def _broken_off_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
         whole = getattr(Path, name)
 
         def step(self: Path, *given: object, **more: object) -> object:
-            counts = self.name not in ("job", "new", "old", "owner")
+            counts = self.name not in ("job", "new", "next", "old", "owner")
             if counts and next(left, None) is None:
                 raise KeyboardInterrupt
             return whole(self, *given, **more)
@@ -263,3 +264,41 @@ def test_an_error_of_the_exchange_is_told(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         (place.scratch / "a").write_text("1")
     assert _names(tmp_path) == ["out"] and _names(tmp_path / "out") == []
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_two_renames_lose_no_folder_of_a_format(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: bool
+) -> None:
+    """Where folders cannot change places, for a Zarr group: broken off, or killed, in between."""
+    target = tmp_path / "m.zarr"
+
+    def publish(word: str) -> None:
+        with result_file(target, force=True) as scratch:
+            scratch.mkdir()
+            (scratch / "zarr.json").write_text(word)
+
+    def refused(one: Path, other: Path) -> None:
+        raise OSError(errno.EINVAL, "no exchange here")
+
+    publish("old")
+    whole = Path.rename
+
+    def rename(self: Path, place: Path) -> Path:
+        if self.name == "next":
+            raise KeyboardInterrupt
+        if killed and self.name == "old":
+            raise KeyboardInterrupt  # who is killed puts nothing back
+        return whole(self, place)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(insonify.io.folders, "_rename_exchange", refused)
+        patched.setattr(Path, "rename", rename)
+        if killed:
+            patched.setattr(insonify.io.scratch.Scratch, "remove", lambda self: self.leave())
+        publish("new")
+    assert target.exists() != killed
+    with pytest.raises(OutputError, match="already exists"), result_file(target):
+        pass
+    assert (target / "zarr.json").read_text() == ("new" if killed else "old")
+    assert _names(tmp_path) == ["m.zarr"]

@@ -282,9 +282,14 @@ def _exchange(own: Scratch, new: Path, target: Path) -> Path:
             raise
     else:
         return new
-    former = own.folder / scratches.OLD
+    following, former = own.folder / scratches.NEXT, own.folder / scratches.OLD
+    new.rename(following)
     target.rename(former)  # killed here, the next start does the rest
-    new.rename(target)
+    try:
+        following.rename(target)
+    except BaseException:
+        former.rename(target)
+        raise
     return former
 
 

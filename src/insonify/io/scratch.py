@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-NEW, OLD = "new", "old"
+NEW, NEXT, OLD = "new", "next", "old"
 _OWNER, _JOB = "owner", "job"
 _MARK = b"scratch folder of insonify\n"
 _RANDOM = "[a-z0-9_]{8}"
@@ -62,7 +62,7 @@ class Scratch:
 
     def remove(self) -> None:
         """Remove it, last what tells that it is one."""
-        for name in (_JOB, NEW, OLD):
+        for name in (_JOB, NEW, NEXT, OLD):
             _remove(self.folder / name)
         with suppress(OSError):
             (self.folder / _OWNER).unlink()
@@ -102,8 +102,9 @@ def dead(target: Path) -> list[Scratch]:
             if taken is not None:
                 found.append(taken)
     for one in found:
-        if (one.folder / OLD).exists() and one.new.exists() and not os.path.lexists(target):
-            one.new.rename(target)
+        following = one.folder / NEXT
+        if (one.folder / OLD).exists() and following.exists() and not os.path.lexists(target):
+            following.rename(target)
     return found
 
 
