@@ -82,7 +82,7 @@ def _scene(burial_m: float = 0.3) -> tuple[Scene, Body]:
 
 def test_solid_truth_is_the_surface_and_what_trimesh_finds_inside() -> None:
     scene, body = _scene()
-    truth = ground_truth(scene, body, 0.1)
+    truth = ground_truth(scene, (body,), 0.1)
     index = np.argwhere(np.ones(truth.solid.shape, bool))
     centres = (index + 0.5) * 0.1 + truth.box.low_m
     inside = body.mesh.contains(centres).reshape(truth.solid.shape)
@@ -91,7 +91,7 @@ def test_solid_truth_is_the_surface_and_what_trimesh_finds_inside() -> None:
 
 def test_region_is_the_box_grown_by_one_voxel_above_the_seabed_by_one() -> None:
     scene, body = _scene()
-    truth = ground_truth(scene, body, 0.1)
+    truth = ground_truth(scene, (body,), 0.1)
     low, high = np.array(body.box.low_m), np.array(body.box.high_m)
     assert ((low - truth.box.low_m >= 0.1) & (low - truth.box.low_m < 0.2 + 1e-9)).all()
     assert ((truth.box.high_m - high >= 0.1) & (truth.box.high_m - high < 0.2 + 1e-9)).all()
@@ -101,7 +101,7 @@ def test_region_is_the_box_grown_by_one_voxel_above_the_seabed_by_one() -> None:
 
 def test_a_perfect_map_scores_one_and_an_empty_map_nothing() -> None:
     scene, body = _scene()
-    truth = ground_truth(scene, body, 0.1)
+    truth = ground_truth(scene, (body,), 0.1)
     voxels = VoxelMap(0.1)
     assert score_map(voxels, truth)["solid"]["exact"]["f1"] == 0.0
     index = np.argwhere(truth.solid) + np.round(np.array(truth.box.low_m) / 0.1).astype(int)
@@ -119,7 +119,7 @@ def test_ghosts_are_what_is_occupied_in_open_water_alone() -> None:
     level = Seabed(np.full((40, 40), -20.0), 1.0, (-20.0, -20.0))
     body = Body("tetrapod", placed, Material("concrete"))
     scene = Scene((body,), level)
-    truth = ground_truth(scene, body, 0.1)
+    truth = ground_truth(scene, (body,), 0.1)
     voxels = VoxelMap(0.1)
     region = Box((-6.0, -6.0, -21.0), (6.0, 6.0, -15.0))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -27,13 +28,13 @@ class Scores:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundTruth:
-    """The object as voxels, over the region in which maps are scored.
+    """The objects as voxels, over the region in which maps are scored.
 
     Attributes:
         box: The voxels' box; its lower corner is on the voxel grid.
-        surface: (nx, ny, nz) voxels that the surface passes through.
-        solid: The same with the interior.
-        scored: Voxels that count: at least one voxel above the seabed.
+        surface: (nx, ny, nz) voxels that a surface passes through.
+        solid: The same with the interiors.
+        scored: Voxels that count: in the box of an object, at least one voxel above the seabed.
     """
 
     box: Box
@@ -59,16 +60,27 @@ def solids_of(scene: Scene) -> tuple[Solid, ...]:
     )
 
 
-def ground_truth(scene: Scene, body: Body, voxel_m: float) -> GroundTruth:
-    """Voxels of a body, in its bounding box grown by one voxel, above the seabed by one voxel."""
-    low = np.floor(np.asarray(body.box.low_m) / voxel_m).astype(int) - 1
-    high = np.floor(np.asarray(body.box.high_m) / voxel_m).astype(int) + 2
-    surface = voxelise_surface(
-        np.asarray(body.mesh.vertices), np.asarray(body.mesh.faces), low, high, voxel_m
-    )
-    # what the surface shuts in, whether or not the mesh is watertight in every triangle
-    solid: Bool = ndimage.binary_fill_holes(surface)
-    scored = np.ones(surface.shape, bool)
+def ground_truth(scene: Scene, bodies: Sequence[Body], voxel_m: float) -> GroundTruth:
+    """Voxels of bodies, in their bounding boxes grown by one voxel, above the seabed by one voxel.
+
+    Args:
+        scene: The world that they are in.
+        bodies: One at least; where boxes overlap, what is of any of them is of an object.
+        voxel_m: Edge length of a voxel.
+    """
+    lows = [np.floor(np.asarray(body.box.low_m) / voxel_m).astype(int) - 1 for body in bodies]
+    highs = [np.floor(np.asarray(body.box.high_m) / voxel_m).astype(int) + 2 for body in bodies]
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    surface, solid, scored = np.zeros((3, *(high - low)), bool)
+    for body, first, last in zip(bodies, lows, highs, strict=True):
+        own = voxelise_surface(
+            np.asarray(body.mesh.vertices), np.asarray(body.mesh.faces), first, last, voxel_m
+        )
+        box = tuple(map(slice, first - low, last - low))
+        surface[box] |= own
+        # what the surface shuts in, whether or not the mesh is watertight in every triangle
+        solid[box] |= ndimage.binary_fill_holes(own)
+        scored[box] = True
     if scene.seabed is not None:
         x, y, z = ((np.arange(a, b) + 0.5) * voxel_m for a, b in zip(low, high, strict=True))
         floor = scene.seabed.height_at(*np.meshgrid(x, y, indexing="ij"))
@@ -165,10 +177,10 @@ def solid_f1(voxels: VoxelMap, truth: GroundTruth) -> float:
 
 
 def ghosts(window: VoxelWindow, truth: GroundTruth, scene: Scene) -> float:
-    """Voxels that a map holds for occupied where there is only water, as a share of the object's.
+    """Voxels that a map holds for occupied where there is only water, as a share of the objects'.
 
-    Those of a region that are outside the truth's box, at least a voxel above the seabed: scores
-    over the object's box do not see them.
+    Those of a region that are outside the objects' boxes, at least a voxel above the seabed:
+    scores do not see them.
     """
     centres = window.centres_m(window.occupied)
     water = in_open_water(centres, window.voxel_m, truth, scene)
@@ -176,8 +188,11 @@ def ghosts(window: VoxelWindow, truth: GroundTruth, scene: Scene) -> float:
 
 
 def in_open_water(centres_m: Float64, voxel_m: float, truth: GroundTruth, scene: Scene) -> Bool:
-    """Which voxels (N, 3) lie outside the truth's box, and above the seabed by one voxel."""
-    outside = ((centres_m < truth.box.low_m) | (centres_m > truth.box.high_m)).any(axis=1)
+    """Which voxels (N, 3) lie outside the objects' boxes, and above the seabed by one voxel."""
+    index = np.floor((centres_m - truth.box.low_m) / voxel_m).astype(np.int64)
+    within = ((index >= 0) & (index < truth.scored.shape)).all(axis=1)
+    outside = np.ones(len(centres_m), bool)
+    outside[within] = ~truth.scored[tuple(index[within].T)]
     if scene.seabed is None:
         return np.asarray(outside, bool)
     floor = scene.seabed.height_at(centres_m[:, 0], centres_m[:, 1])
@@ -190,14 +205,22 @@ def compare_voxels(reconstructed: Bool, actual: Bool, tolerance: int = 0) -> Sco
     With a tolerance, a reconstructed voxel is right if an actual one lies within so many voxels
     along each axis, and an actual voxel is found if a reconstructed one does.
     """
-    near_actual, near_reconstructed = actual, reconstructed
-    if tolerance > 0:
-        cube = np.ones((2 * tolerance + 1,) * 3, bool)
-        near_actual = ndimage.binary_dilation(actual, cube)
-        near_reconstructed = ndimage.binary_dilation(reconstructed, cube)
+    near_actual, near_reconstructed = _near(actual, tolerance), _near(reconstructed, tolerance)
     precision = _ratio(reconstructed & near_actual, reconstructed)
     recall = _ratio(actual & near_reconstructed, actual)
     return Scores(precision, recall, *(f_score(precision, recall, beta) for beta in (1, 2, 3)))
+
+
+def _near(voxels: Bool, tolerance: int) -> Bool:
+    """Voxels within so many of one of these along each axis: a cube's dilation, axis by axis."""
+    for axis in range(3 if tolerance else 0):
+        ahead = np.moveaxis(voxels, axis, 0)
+        voxels = voxels.copy()
+        grown = np.moveaxis(voxels, axis, 0)
+        for step in range(1, tolerance + 1):
+            grown[step:] |= ahead[:-step]
+            grown[:-step] |= ahead[step:]
+    return voxels
 
 
 def f_score(precision: float, recall: float, beta: float) -> float:

@@ -17,6 +17,7 @@ class Stream(IntEnum):
     DATASET_NOISE = 5
     PLACE = 6
     POSES = 7
+    FIELD = 8
 
 
 def generator(seed: int, stream: Stream, *number: int) -> np.random.Generator:

@@ -24,7 +24,7 @@ def test_every_scenario_is_a_world(name: str) -> None:
     config = scenario_config(name)
     assert config.scenario == name
     world = World(config)
-    assert world.area.region.low_m < world.stage.body.box.low_m
+    assert world.area.region.low_m < world.stage.box.low_m
     paper = scenarios()[name].get("paper")
     assert (paper is not None) == (name in ("tetrapod", "wreck"))
     assert paper is None or {"entropy", "uniform", "lawnmower"} <= set(paper)
@@ -106,7 +106,7 @@ def test_a_mesh_in_a_config_file_is_found_beside_it(tmp_path: Path) -> None:
     (tmp_path / "c.toml").write_text('[object]\nmesh = "box.stl"\n')
     config = scenario_config("tetrapod", [read_layer(tmp_path / "c.toml")])
     assert config.object.mesh == str(tmp_path / "box.stl")
-    assert World(config).stage.body.box.size_m == pytest.approx((1, 1, 1))
+    assert World(config).stage.box.size_m == pytest.approx((1, 1, 1))
 
 
 def test_an_object_smaller_than_a_voxel_is_refused(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_the_seed_shapes_the_seabed() -> None:
     assert a == b != c
 
 
-@pytest.mark.parametrize("name", sorted(scenarios()))
+@pytest.mark.parametrize("name", sorted(set(scenarios()) - {"field", "wreck-part"}))
 def test_no_scan_begins_with_the_object_in_view(name: str) -> None:
     """Park et al. 2025, section 4: the lawnmower starts where the object is not visible."""
     for planner in ("entropy", "uniform", "lawnmower"):

@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 
 from insonify.errors import MeshError
+from insonify.scene.placing import ObjectSettings
 from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
-from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
+from insonify.scene.staged import SeabedSettings, Stage
 
 
 def _make(seed: int, relief_m: float = 0.3) -> Seabed:
@@ -115,10 +116,10 @@ def test_the_seed_turns_and_buries_an_object() -> None:
     settings = ObjectSettings(mesh="pipe", yaw_spread_deg=180.0, burial_spread_m=0.3)
     level = SeabedSettings(relief_m=0.0)
     stages = [Stage(settings, level, seed) for seed in (0, 1, 0)]
-    boxes = [stage.body.box for stage in stages]
+    boxes = [stage.box for stage in stages]
     assert boxes[0] == boxes[2] != boxes[1]
     depths = [-20.0 - box.low_m[2] for box in boxes]
     assert all(0.0 <= depth <= 0.3 for depth in depths)
     assert depths[0] != pytest.approx(depths[1])
-    plain = Stage(ObjectSettings(mesh="pipe"), level, 5).body.box
+    plain = Stage(ObjectSettings(mesh="pipe"), level, 5).box
     np.testing.assert_allclose(plain.low_m, [-2.5, -0.45, -20.0], atol=1e-6)

@@ -20,7 +20,9 @@ FILE_KEYS = (
     ("planner",),
     ("mapper",),
     ("sonars",),
+    ("objects", "mesh"),
     ("object", "mesh"),
+    ("field", "kinds"),
     ("seabed", "raster"),
     ("sonar", "preset"),
     ("vehicle", "name"),
@@ -64,13 +66,28 @@ def read_layer(path: Path) -> Table:
 
 def settled(table: Table, folder: Path) -> Table:
     """Files that a table names by their whole path; they are looked for in a folder."""
-    for *outer, key in FILE_KEYS:
-        inner: Any = table
-        for name in outer:
-            inner = inner.get(name, {}) if isinstance(inner, dict) else {}
-        if isinstance(inner, dict) and isinstance(inner.get(key), str):
-            inner[key] = absolute(inner[key], folder)
+    for holder, key in named_files(table):
+        holder[key] = absolute(holder[key], folder)
     return table
+
+
+def named_files(table: Table) -> list[tuple[Any, Any]]:
+    """The settings of a table that may name a file (`FILE_KEYS`): what holds each, and its key."""
+    return [place for keys in FILE_KEYS for place in _strings(table, keys)]
+
+
+def _strings(holder: Any, keys: tuple[str, ...]) -> list[tuple[Any, Any]]:
+    """Strings under nested keys; where there is a list, of each thing in it."""
+    if isinstance(holder, list):
+        return [place for one in holder for place in _strings(one, keys)]
+    if not isinstance(holder, dict) or keys[0] not in holder:
+        return []
+    inner = holder[keys[0]]
+    if len(keys) > 1:
+        return _strings(inner, keys[1:])
+    if isinstance(inner, list):
+        return [(inner, k) for k, one in enumerate(inner) if isinstance(one, str)]
+    return [(holder, keys[0])] if isinstance(inner, str) else []
 
 
 def absolute(name: str, folder: Path | None = None) -> str:

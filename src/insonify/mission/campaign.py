@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from insonify import __version__
-from insonify.config.layers import FILE_KEYS, absolute, overlaid, read_table, settled
+from insonify.config.layers import absolute, named_files, overlaid, read_table, settled
 from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError
 from insonify.mission.setup import Config, scenario_config
@@ -260,14 +260,11 @@ def run_key(config: Config) -> str:
 
 def _digests(table: Table) -> Iterator[str]:
     """Of the files that a config names, each by its content."""
-    for keys in FILE_KEYS:
-        value: Any = table
-        for key in keys:
-            value = value.get(key) if isinstance(value, dict) else None
-        if isinstance(value, str):
-            file = Path(value.partition(".py:")[0] + ".py" if ".py:" in value else value)
-            if file.suffix and file.is_file():
-                yield _digest(file, file.stat().st_mtime_ns)
+    for holder, key in named_files(table):
+        value = holder[key]
+        file = Path(value.partition(".py:")[0] + ".py" if ".py:" in value else value)
+        if file.suffix and file.is_file():
+            yield _digest(file, file.stat().st_mtime_ns)
 
 
 @lru_cache

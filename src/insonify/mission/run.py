@@ -16,7 +16,7 @@ from insonify.errors import ConfigError, GeometryError, MemoryLimitError
 from insonify.evaluation import GroundTruth, ghosts, ground_truth, score_map, solids_of
 from insonify.frames import world_from_sonar
 from insonify.mapping.factory import bytes_per_voxel
-from insonify.mapping.fan import blocks_in_fan
+from insonify.mapping.fan import blocks_in_fan, fan_box
 from insonify.mapping.mapper import Mapper, check_voxels
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.account import Account
@@ -217,7 +217,7 @@ def execute(
     carrier = _carrier(world, _sonar(world, noise, remembered), pace)
     if isinstance(carrier, Teleport):
         _check_plan(world, planner)
-    truth = ground_truth(world.scene, world.stage.body, config.mapping.voxel_m)
+    truth = ground_truth(world.scene, world.stage.bodies, config.mapping.voxel_m)
     run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=noise)
     if isinstance(carrier, Voyage):
         run.flight = Flight(carrier, _copy(mapper))
@@ -373,7 +373,7 @@ def check_memory(world: World) -> None:
     """Refuse a voxel size whose map would not fit into free memory.
 
     The estimate is the space that the sonar could sweep on scans over the centre from all sides,
-    counted with coarse blocks.
+    counted with coarse blocks, or if that is more, all of the area as deep as its fan reaches.
     """
     voxel_m = world.config.mapping.voxel_m
     swept = VoxelMap(max(voxel_m, world.config.sonar.range_max_m / 160))
@@ -382,8 +382,10 @@ def check_memory(world: World) -> None:
         for pose in path_over_centre(world.area, heading).waypoints[::4]:
             transform = world_from_sonar(pose, geometry.mount)
             swept.allocate(blocks_in_fan(transform, geometry, swept.block_m))
-    area_m3 = math.prod(world.area.region.size_m)
-    swept_m3 = swept.block_count * swept.block_m**3
+    size_x, size_y, size_z = world.area.region.size_m
+    fan = fan_box(world_from_sonar(Pose(0.0, 0.0, 0.0), geometry.mount), geometry)
+    area_m3 = size_x * size_y * size_z
+    swept_m3 = max(swept.block_count * swept.block_m**3, size_x * size_y * fan.size_m[2])
     kept = bytes_per_voxel(world.config.mapper, world.config.mapping)
     weight = swept_m3 * kept * 3 + area_m3 * BYTES_PER_AREA_VOXEL
     needed = weight / voxel_m**3
@@ -393,7 +395,7 @@ def check_memory(world: World) -> None:
     digits = 1 - math.floor(math.log10(fits))
     fits = math.ceil(fits * 10**digits) / 10**digits
     raise MemoryLimitError(
-        f"{world.config.object.mesh} is {max(world.stage.body.box.size_m):.3g} m across: voxels "
+        f"what is scanned is {max(world.stage.box.size_m):.3g} m across: voxels "
         f"of {voxel_m:g} m would need {memory.shortage(needed)}; voxels of {fits:g} m fit "
         f"(--set mapping.voxel_m={fits:g})"
     )

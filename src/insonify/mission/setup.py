@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
+from typing import Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from insonify.config.layers import named_tables, overlaid
 from insonify.config.settings import Settings, Table, did_you_mean, validated
@@ -21,7 +21,8 @@ from insonify.planning.factory import PLANNER_PARTS, PLANNERS, Task, check_plann
 from insonify.planning.rosette import RosetteSettings
 from insonify.plugins import check_object, name_of
 from insonify.scene import Scene
-from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
+from insonify.scene.placing import FieldSettings, ObjectSettings
+from insonify.scene.staged import SeabedSettings, Stage
 from insonify.sonar.devices import Kind, SonarDevice, resolved_device
 from insonify.sonar.sampling import even_samples
 from insonify.types import Box
@@ -45,6 +46,9 @@ class SurveySettings(Settings):
     overrun_m: float = Field(2.0, ge=0, le=10000, description="and ends beyond its centre")
     waypoints: int = Field(40, ge=1, le=100000, description="k, pings a scan")
     margin_m: float = Field(3.0, ge=0, le=1000, description="designated area around the object")
+    area_m: tuple[float, ...] = Field(
+        (), description="designated area: x, y of a corner and x, y of the other; [] is around all"
+    )
     headroom_m: float = Field(0.5, ge=0, le=1000, description="designated area above the object")
     floor_m: float = Field(
         0.2, ge=-100, le=100, description="lowest height above the mean seabed that counts"
@@ -53,6 +57,16 @@ class SurveySettings(Settings):
         0.4, gt=0, le=100, description="least distance of the vehicle to anything"
     )
     baseline_scans: int = Field(3, ge=1, le=1000, description="scans of uniform and lawnmower")
+
+    @model_validator(mode="after")
+    def _area_is_one(self) -> Self:
+        if not self.area_m:
+            return self
+        if len(self.area_m) != 4 or not all(abs(c) <= 1e5 for c in self.area_m):
+            raise ValueError(f"area_m has four numbers, x0, y0, x1, y1, not {list(self.area_m)}")
+        if self.area_m[0] >= self.area_m[2] or self.area_m[1] >= self.area_m[3]:
+            raise ValueError(f"area_m holds nothing: x0 < x1, y0 < y1, not {list(self.area_m)}")
+        return self
 
 
 class Config(Imaging):
@@ -65,7 +79,11 @@ class Config(Imaging):
     mapper: str = Field(
         "bayes", description=", ".join(MAPPERS) + ", or your own: module:Name or file.py:Name"
     )
+    objects: tuple[ObjectSettings, ...] = Field(
+        (), max_length=200, description="several objects; each is as [object] but for what it says"
+    )
     object: ObjectSettings = ObjectSettings()
+    field: FieldSettings = FieldSettings()
     seabed: SeabedSettings = SeabedSettings()
     survey: SurveySettings = SurveySettings()
     mapping: MappingSettings = MappingSettings()
@@ -74,6 +92,20 @@ class Config(Imaging):
     vehicle: VehicleSettings = VehicleSettings()
     planner_options: dict[str, Any] = Field({}, description="of a planner of your own")
     mapper_options: dict[str, Any] = Field({}, description="of a mapper of your own")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _objects_are_like_the_object(cls, table: Any) -> Any:
+        """What the tables of `objects` leave out is in that of `object`."""
+        if not isinstance(table, dict) or not isinstance(table.get("objects"), list):
+            return table
+        like = table.get("object", {})
+        like = like.model_dump() if isinstance(like, ObjectSettings) else like
+        objects = [
+            overlaid([like, one]) if isinstance(one, dict) and isinstance(like, dict) else one
+            for one in table["objects"]
+        ]
+        return table | {"objects": objects}
 
 
 @cache
@@ -129,7 +161,7 @@ class World:
 
     Attributes:
         config: The settings.
-        stage: The object on its seabed.
+        stage: The objects on their seabed.
         sonar: The sonar.
         area: The order given to the vehicle.
     """
@@ -142,7 +174,7 @@ class World:
             ConfigError: The order makes no sense.
         """
         self.config = config
-        self.stage = Stage(config.object, config.seabed, config.seed)
+        self.stage = Stage(config.object, config.seabed, config.seed, config.objects, config.field)
         _check_size(self.stage, config)
         self.sonar = config.build(config.sonar)
         self.area = _designated_area(self.stage, config.survey)
@@ -174,13 +206,19 @@ class World:
 
 
 def _designated_area(stage: Stage, survey: SurveySettings) -> SurveyArea:
-    """The order given to the vehicle: a box around where the object is known to lie."""
-    low, high = stage.body.box.low_m, stage.body.box.high_m
-    level = float(stage.seabed.heights_m.mean())
-    margin = survey.margin_m
+    """The order given to the vehicle: a box around where the objects are known to lie."""
+    box, level = stage.box, float(stage.seabed.heights_m.mean())
+    if survey.area_m:
+        x_0, y_0, x_1, y_1 = survey.area_m
+    elif stage.field.count:
+        x, y, half_m = stage.object.x_m, stage.object.y_m, stage.field.size_m / 2
+        x_0, y_0, x_1, y_1 = x - half_m, y - half_m, x + half_m, y + half_m
+    else:
+        around = box.grown(survey.margin_m)
+        x_0, y_0, x_1, y_1 = *around.low_m[:2], *around.high_m[:2]
     region = Box(
-        (low[0] - margin, low[1] - margin, level + survey.floor_m),
-        (high[0] + margin, high[1] + margin, high[2] + survey.headroom_m),
+        (x_0, y_0, level + survey.floor_m),
+        (x_1, y_1, box.high_m[2] + survey.headroom_m),
     )
     return SurveyArea(
         region=region,
@@ -194,10 +232,11 @@ def _designated_area(stage: Stage, survey: SurveySettings) -> SurveyArea:
 
 def _check_size(stage: Stage, config: Config) -> None:
     """Refuse an object that no voxel would show, most likely in other units."""
-    across_m = float(max(stage.mesh.extents))
+    small = min(zip(stage.meshes, stage.placed, strict=True), key=lambda one: max(one[0].extents))
+    across_m = float(max(small[0].extents))
     if across_m < config.mapping.voxel_m:
         raise MeshError(
-            f"{config.object.mesh}: the object is {across_m:.2g} m across, smaller than one voxel "
+            f"{small[1].mesh}: the object is {across_m:.2g} m across, smaller than one voxel "
             f"({config.mapping.voxel_m:g} m); give its scale (--set object.scale=...) or smaller "
             "voxels (--set mapping.voxel_m=...)"
         )
@@ -240,9 +279,9 @@ def _check_area(stage: Stage, area: SurveyArea, survey: SurveySettings) -> None:
     )
     if spare_m < reach_m:
         raise ConfigError(
-            f"the seabed ends {max(spare_m, 0.0):.3g} m from the object and scans begin "
+            f"the seabed ends {max(spare_m, 0.0):.3g} m from the area's middle and scans begin "
             f"{reach_m:.3g} m from it; take a larger one (seabed.size_m) or move the object"
-            + _units_hint(float(max(stage.mesh.extents)))
+            + _units_hint(max(float(max(mesh.extents)) for mesh in stage.meshes))
         )
 
 

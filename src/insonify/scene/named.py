@@ -11,7 +11,8 @@ from insonify.errors import ConfigError
 from insonify.scene import Scene
 from insonify.scene.experiments import EXPERIMENTS
 from insonify.scene.materials import Material
-from insonify.scene.staged import ObjectSettings, SeabedSettings, Stage
+from insonify.scene.placing import FieldSettings, ObjectSettings
+from insonify.scene.staged import SeabedSettings, Stage
 from insonify.scene.worlds import load_scene
 
 
@@ -37,6 +38,7 @@ def named_scene(
         return Stage(
             validated(ObjectSettings, config.get("object", {}), prefix="object."),
             validated(SeabedSettings, config.get("seabed", {}), prefix="seabed."),
+            field=validated(FieldSettings, config.get("field", {}), prefix="field."),
         ).scene
     path = Path(world)
     if not path.exists():

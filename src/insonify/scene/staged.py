@@ -1,4 +1,4 @@
-"""A stage for a scan: an object standing on, or in, a seabed."""
+"""A stage for a scan: objects standing on, or in, a seabed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import trimesh
@@ -16,38 +15,13 @@ from insonify.config.settings import Settings
 from insonify.errors import ConfigError, MeshError
 from insonify.frames import rotation_from_rpy
 from insonify.scene import Body, Material, Scene
-from insonify.scene.meshes import load_mesh, place_mesh, scaled
-from insonify.scene.objects import PROCEDURAL_OBJECTS
+from insonify.scene.meshes import place_mesh
+from insonify.scene.placing import FieldSettings, ObjectSettings, object_mesh, scattered
 from insonify.scene.seabed import Seabed, procedural_seabed, raster_seabed
 from insonify.seeds import Stream, generator
+from insonify.types import Box
 
 MOST_SEABED_CELLS = 16_000_000
-
-
-class ObjectSettings(Settings):
-    """The object that is scanned."""
-
-    mesh: str = Field(
-        "tetrapod",
-        description=", ".join(PROCEDURAL_OBJECTS) + ", or a mesh file (OBJ, STL, PLY, GLB, DAE)",
-    )
-    scale: float = Field(1.0, gt=0, le=1e6, description="factor to metres")
-    x_m: float = Field(0.0, ge=-1e5, le=1e5)
-    y_m: float = Field(0.0, ge=-1e5, le=1e5)
-    up: Literal["auto", "x", "y", "z"] = Field(
-        "auto", description="the file's upward axis; auto: y for glTF, what COLLADA says, else z"
-    )
-    roll_deg: float = Field(0.0, ge=-360, le=360, description="turned about x, y, z in this order")
-    pitch_deg: float = Field(0.0, ge=-360, le=360)
-    yaw_deg: float = Field(0.0, ge=-360, le=360)
-    burial_m: float = Field(0.0, ge=0, le=100, description="depth of its base below the seabed")
-    yaw_spread_deg: float = Field(
-        0.0, ge=0, le=180, description="turned by up to so much more to either side, by the seed"
-    )
-    burial_spread_m: float = Field(
-        0.0, ge=0, le=100, description="buried by up to so much more, by the seed"
-    )
-    reflectance: float = Field(1.0, gt=0, le=10, description="R of its material")
 
 
 class SeabedSettings(Settings):
@@ -70,21 +44,38 @@ class SeabedSettings(Settings):
 
 @dataclass(frozen=True)
 class Stage:
-    """An object on a seabed; the seed shapes the relief, and turns and buries the object.
+    """Objects on a seabed; the seed shapes the relief, scatters a field, turns and buries objects.
+
+    Attributes:
+        object: The object, if it is one; what those of a field have in common, and the middle.
+        ground: The seabed.
+        seed: Of relief and places.
+        objects: Several instead of the one.
+        field: More that are scattered by the seed.
 
     Raises:
-        MeshError: When built: the mesh or the raster cannot be used.
-        ConfigError: When built: the seabed would have too many cells.
+        MeshError: When built: a mesh or the raster cannot be used.
+        ConfigError: When built: the seabed would have too many cells, or the field is full.
     """
 
     object: ObjectSettings
     ground: SeabedSettings
     seed: int = 0
+    objects: tuple[ObjectSettings, ...] = ()
+    field: FieldSettings = FieldSettings()
 
     @cached_property
     def scene(self) -> Scene:
-        """The world: the object, then the seabed."""
-        return Scene((self.body,), self.seabed, Material("seabed", self.ground.reflectance))
+        """The world: the objects, then the seabed."""
+        return Scene(self.bodies, self.seabed, Material("seabed", self.ground.reflectance))
+
+    @cached_property
+    def placed(self) -> tuple[ObjectSettings, ...]:
+        """All objects, and where they stand."""
+        if not self.field.count:
+            return self.objects or (self.object,)
+        rng = generator(self.seed, Stream.FIELD)
+        return (*self.objects, *scattered(self.field, self.object, self.objects, rng))
 
     @cached_property
     def seabed(self) -> Seabed:
@@ -112,29 +103,40 @@ class Stage:
         ).tilted(math.radians(settings.slope_deg), math.radians(settings.slope_towards_deg))
 
     @cached_property
-    def mesh(self) -> trimesh.Trimesh:
-        """The object by itself, metres."""
-        settings = self.object
-        if settings.mesh in PROCEDURAL_OBJECTS:
-            return scaled(PROCEDURAL_OBJECTS[settings.mesh](), settings.scale)
-        return load_mesh(Path(settings.mesh), settings.scale, up=settings.up)
+    def meshes(self) -> tuple[trimesh.Trimesh, ...]:
+        """The objects by themselves, metres."""
+        return tuple(object_mesh(one) for one in self.placed)
 
     @cached_property
-    def body(self) -> Body:
-        """The object, standing on (or in) the seabed under its centre."""
-        settings = self.object
+    def bodies(self) -> tuple[Body, ...]:
+        """The objects, each standing on (or in) the seabed under its centre."""
+        bodies: list[Body] = []
+        for number, settings in enumerate(self.placed):
+            name = Path(settings.mesh).stem
+            again = sum(body.name.partition("#")[0] == name for body in bodies)
+            bodies.append(self._body(settings, number, f"{name}#{again + 1}" if again else name))
+        return tuple(bodies)
+
+    @property
+    def box(self) -> Box:
+        """What holds all of them."""
+        corners = [(body.box.low_m, body.box.high_m) for body in self.bodies]
+        low_m, high_m = zip(*corners, strict=True)
+        return Box.of(np.min(low_m, axis=0), np.max(high_m, axis=0))
+
+    def _body(self, settings: ObjectSettings, number: int, name: str) -> Body:
         ground = self.seabed.height_at(np.array([settings.x_m]), np.array([settings.y_m]))
-        aside, deeper = generator(self.seed, Stream.PLACE).uniform((-1.0, 0.0), 1.0)
+        aside, deeper = generator(self.seed, Stream.PLACE, number).uniform((-1.0, 0.0), 1.0)
         burial_m = settings.burial_m + deeper * settings.burial_spread_m
         base_z = float(ground[0]) - burial_m
         yaw_deg = settings.yaw_deg + aside * settings.yaw_spread_deg
         angles = (settings.roll_deg, settings.pitch_deg, yaw_deg)
         turn = rotation_from_rpy(*(math.radians(math.remainder(a, 360.0)) for a in angles))
-        placed = place_mesh(self.mesh, settings.x_m, settings.y_m, base_z, turn)
+        placed = place_mesh(self.meshes[number], settings.x_m, settings.y_m, base_z, turn)
         buried_z = self.seabed.height_at(placed.vertices[:, 0], placed.vertices[:, 1])
         if (placed.vertices[:, 2] <= buried_z).all():
             raise MeshError(
                 f"{settings.mesh}: all of the object lies below the seabed at a burial of "
                 f"{burial_m:.3g} m; bury it less (--set object.burial_m=...)"
             )
-        return Body(Path(settings.mesh).stem, placed, Material("object", settings.reflectance))
+        return Body(name, placed, Material("object", settings.reflectance))
