@@ -102,7 +102,7 @@ class _Episode:
         self.world = World(config)
         self.mapper = self.world.mapper()
         check_voxels(self.mapper, config.mapping)
-        self.truth = ground_truth(self.world.scene, self.world.stage.body, config.mapping.voxel_m)
+        self.truth = ground_truth(self.world.scene, self.world.stage.bodies, config.mapping.voxel_m)
         planner = self.world.planner()
         assert isinstance(planner, RosettePlanner)
         self.rosette, self.reach = planner, Reach.of(self.world)

@@ -16,8 +16,8 @@ class Stream(IntEnum):
     DATASET_POSES = 4
     DATASET_NOISE = 5
     PLACE = 6
-    POSES = 7
-    FIELD = 8
+    FIELD = 7
+    POSES = 8
 
 
 def generator(seed: int, stream: Stream, *number: int) -> np.random.Generator:

@@ -279,6 +279,7 @@ class StopReason(StrEnum):
 
     NOT_WORTH_IT = "not_worth_it"
     NO_CLUSTER = "no_cluster"
+    LITTLE_LEFT = "little_left"
     PLAN_FLOWN = "plan_flown"
     SCAN_LIMIT = "scan_limit"
     OBSTACLE = "obstacle"
@@ -301,6 +302,7 @@ _SENTENCES = {
         "No candidate pose would resolve more than TC of the largest cluster's entropy."
     ),
     StopReason.NO_CLUSTER: "No cluster of undecided voxels is left in the designated area.",
+    StopReason.LITTLE_LEFT: "Another look at what was found would tell too little.",
     StopReason.PLAN_FLOWN: "All planned scans are flown.",
     StopReason.SCAN_LIMIT: "The limit on the number of scans was reached.",
     StopReason.OBSTACLE: "The next scan path runs into the object or the seabed.",

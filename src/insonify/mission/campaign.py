@@ -71,6 +71,9 @@ class CampaignSettings(Settings):
     )
     sonars: tuple[str, ...] = Field((), description="see: insonify sonars")
     models: tuple[str, ...] = Field((), description="cerqueira, physical")
+    same_scans: bool = Field(
+        True, description="uniform and lawnmower fly as many scans as entropy; else as set"
+    )
     set: Table = Field({}, description="settings of all runs")
     set_for: dict[str, Table] = Field({}, description="settings of the runs with this in them")
 
@@ -81,15 +84,17 @@ class Chain:
 
     Attributes:
         runs: Their configs, in the order of the tables.
+        same_scans: Whether `FIRST` says how many scans fixed plans fly.
     """
 
     runs: tuple[Config, ...]
+    same_scans: bool = True
 
     @property
     def first(self) -> int | None:
         """Which of them says how many scans others fly, if one does."""
         names = [run.planner for run in self.runs]
-        return names.index(FIRST) if FIRST in names else None
+        return names.index(FIRST) if self.same_scans and FIRST in names else None
 
     @property
     def following(self) -> tuple[int, ...]:
@@ -142,7 +147,10 @@ def chains(campaign: CampaignSettings) -> tuple[Chain, ...]:
         for config in at_seed_0:
             _check(config)
         found += [
-            Chain(tuple(run.model_copy(update={"seed": seed}) for run in at_seed_0))
+            Chain(
+                tuple(run.model_copy(update={"seed": seed}) for run in at_seed_0),
+                campaign.same_scans,
+            )
             for seed in campaign.seeds
         ]
     _check_names(found)

@@ -18,6 +18,7 @@ from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.planning.active import EntropySettings
 from insonify.planning.decision import Planner, SurveyArea
 from insonify.planning.factory import PLANNER_PARTS, PLANNERS, Task, check_planner, make_planner
+from insonify.planning.information import InformationSettings
 from insonify.planning.rosette import RosetteSettings
 from insonify.plugins import check_object, name_of
 from insonify.scene import Scene
@@ -89,6 +90,7 @@ class Config(Imaging):
     mapping: MappingSettings = MappingSettings()
     entropy: EntropySettings = EntropySettings()
     rosette: RosetteSettings = RosetteSettings()
+    information: InformationSettings = InformationSettings()
     vehicle: VehicleSettings = VehicleSettings()
     planner_options: dict[str, Any] = Field({}, description="of a planner of your own")
     mapper_options: dict[str, Any] = Field({}, description="of a mapper of your own")
@@ -195,8 +197,10 @@ class World:
             config.sonar.geometry,
             config.entropy,
             config.rosette,
+            config.information,
             config.survey.baseline_scans,
             config.mapper,
+            config.survey.clearance_m,
         )
         return make_planner(config.planner, task, config.planner_options)
 

@@ -9,6 +9,7 @@ from typing import Any
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.baselines import LawnmowerPlanner, UniformPlanner, near_area
 from insonify.planning.decision import Planner, SurveyArea
+from insonify.planning.information import InformationPlanner, InformationSettings
 from insonify.planning.rosette import RosettePlanner, RosetteSettings
 from insonify.plugins import check_name, load_plugin, made
 from insonify.types import FanGeometry
@@ -26,16 +27,20 @@ class Task:
         geometry: The sonar.
         entropy: Settings of `entropy`.
         rosette: Settings of `rosette`.
+        information: Settings of `information`.
         baseline_scans: How many scans the fixed plans fly.
         mapper: Name of the mapper, which says how high it wants the sonar.
+        clearance_m: Least distance of the vehicle to anything.
     """
 
     area: SurveyArea
     geometry: FanGeometry
     entropy: EntropySettings = EntropySettings()
     rosette: RosetteSettings = RosetteSettings()
+    information: InformationSettings = InformationSettings()
     baseline_scans: int = 3
     mapper: str = "bayes"
+    clearance_m: float = 0.4
 
     @property
     def least_altitude_m(self) -> float:
@@ -60,6 +65,9 @@ PLANNERS: dict[str, Callable[[Task], Planner]] = {
     ),
     "rosette": lambda task: RosettePlanner(
         task.area, task.geometry, task.rosette, task.least_altitude_m
+    ),
+    "information": lambda task: InformationPlanner(
+        task.area, task.geometry, task.information, task.least_altitude_m, task.clearance_m
     ),
 }
 COMPARED = ("entropy", "uniform", "uniform-near", "lawnmower", "lawnmower-near")

@@ -7,7 +7,7 @@ pings, a rosette in most.  All follows from the region and the sonar, before the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +18,8 @@ from insonify.mapping.mapper import Belief
 from insonify.planning.decision import Decision, SurveyArea
 from insonify.types import FanGeometry, Nav, Pose, ScanPath, StopReason
 
-_LOBE_RAD = math.radians(60.0)
 _LOBES = 6
-_HALF_LOBE_RAD = math.radians(30.0)
+"""Of a turn."""
 DISTINCT_LOBES = 2 * _LOBES
 """Those of a later turn are where these are."""
 _FLOOR_M, _HEADROOM_M = 0.2, 0.5
@@ -154,46 +153,49 @@ def _storeys(height_m: float, floor_m: float, high_m: float) -> tuple[float, ...
     return tuple(min(floor_m + max(share, 1.0), most_m) for share in shares)
 
 
-def lobe(rosette: Rosette, number: int, heading_rad: float) -> list[Pose]:
-    """Closely spaced poses of a lobe: out, in, out again while it turns by 60 degrees.
+def lobe(rosette: Rosette, number: int, heading_rad: float, lobes: int = _LOBES) -> list[Pose]:
+    """Closely spaced poses of a lobe: out, in, out again while it turns by its part of a circle.
 
     Args:
         rosette: The shape.
         number: Which lobe, from 0; after each turn all are moved by half a lobe.
         heading_rad: The first begins where a vehicle that comes at this heading is.
+        lobes: Of a turn.
     """
-    turn, _ = divmod(number, _LOBES)
-    start = heading_rad + math.pi + number * _LOBE_RAD + turn * _HALF_LOBE_RAD
+    turn, wide_rad = number // lobes, math.tau / lobes
+    start = heading_rad + math.pi + number * wide_rad + turn * wide_rad / 2
     far, low = rosette.far_m[turn % 2], rosette.low_m[turn % 2]
     if rosette.storeys_m and number % (len(rosette.storeys_m) + 1):
         storey_m = rosette.storeys_m[number % (len(rosette.storeys_m) + 1) - 1]
-        return _at_height(rosette, start, far, storey_m)
+        return _at_height(rosette, _out_and_in(start, wide_rad, rosette.near_m, far), storey_m)
     poses = []
-    if turn and number % _LOBES == 0:  # on from where the last turn ended
+    if turn and number % lobes == 0:  # on from where the last turn ended
         before, lower = rosette.far_m[1 - turn % 2], rosette.low_m[1 - turn % 2]
         for t in np.linspace(0.0, 1.0, _FINE).tolist():
-            angle = start - (1.0 - t) * _HALF_LOBE_RAD
+            angle = start - (1.0 - t) * wide_rad / 2
             poses.append(
                 rosette.pose(angle, before + t * (far - before), lower + t * (low - lower))
             )
-    for angle, radius in _out_and_in(start, rosette.near_m, far):
+    for angle, radius in _out_and_in(start, wide_rad, rosette.near_m, far):
         poses.append(rosette.pose(angle, radius, low))
     return poses
 
 
-def _out_and_in(start_rad: float, near_m: float, far_m: float) -> Iterator[tuple[float, float]]:
+def _out_and_in(
+    start_rad: float, wide_rad: float, near_m: float, far_m: float
+) -> Iterator[tuple[float, float]]:
     """Angles and distances of a lobe."""
     for t in np.linspace(0.0, 1.0, _FINE).tolist():
         yield (
-            start_rad + _LOBE_RAD * t,
+            start_rad + wide_rad * t,
             near_m + (far_m - near_m) * (1.0 + math.cos(math.tau * t)) / 2,
         )
 
 
-def _at_height(rosette: Rosette, start_rad: float, far_m: float, z_m: float) -> list[Pose]:
-    """A lobe at one height: over the region, or if that is too low for it, beside it."""
+def _at_height(rosette: Rosette, places: Iterable[tuple[float, float]], z_m: float) -> list[Pose]:
+    """Places of a lobe at one height: over the region, or if that is too low for it, beside it."""
     poses = []
-    for angle, radius in _out_and_in(start_rad, rosette.near_m, far_m):
+    for angle, radius in places:
         pose = replace(rosette.pose(angle, radius, z_m), z_m=z_m)
         while z_m < rosette.over_m and rosette.beyond_m(pose.x_m, pose.y_m) < 0.05:
             radius += 0.05
