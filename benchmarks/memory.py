@@ -21,7 +21,8 @@ from insonify.mission.remap import map_recordings
 from insonify.mission.setup import scenario_config
 from insonify.results.scan import run_scan
 
-SCANS = 10
+WAYPOINTS, PINGS_A_SCAN = 10, 48
+"""The vehicle pings on its ways too."""
 SMALL: dict[str, Any] = {
     "planner": "uniform",
     "sonar": {"beams": 24, "bins": 60},
@@ -48,8 +49,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pings", type=int, default=5000)
     given = parser.parse_args()
-    each, every = given.pings // SCANS, given.pings // 10
-    survey = {"waypoints": each, "baseline_scans": SCANS, "approach_m": 2.0}
+    every, scans = given.pings // 10, 1 + given.pings // PINGS_A_SCAN
+    survey = {"waypoints": WAYPOINTS, "baseline_scans": scans, "approach_m": 2.0}
     config = scenario_config("tetrapod", [SMALL, {"survey": survey}])
     with tempfile.TemporaryDirectory() as folder:
         flying, mapping = Meter("scan --vehicle", every), Meter("map", every)

@@ -37,6 +37,9 @@ _CONSTANTS = ("mapping/store.py", "mapping/voxels.py", "vehicle/model.py")
 _PREFIX = "kernels-"
 _KEPT_S = 7 * 24 * 3600.0
 _CONFIG: Any = config
+if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+    # by TBB, which it takes first where that is installed, numba 0.68 leaks 7 kB a parallel call
+    _CONFIG.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
