@@ -213,6 +213,15 @@ def test_without_entropy_nothing_waits_and_the_settings_say_how_many() -> None:
     assert [one.config.survey.baseline_scans for one in fly_all(plan, _Crew(9))] == [3, 3]
 
 
+def test_fixed_plans_may_keep_their_own_number_of_scans() -> None:
+    plan = _plan(planners=["entropy", "uniform"], seeds=1, same_scans=False)
+    assert plan[0].following == ()
+    scans = {
+        one.config.planner: one.config.survey.baseline_scans for one in fly_all(plan, _Crew(1))
+    }
+    assert scans == {"entropy": 3, "uniform": 3}
+
+
 def test_runs_that_are_known_are_not_flown_again() -> None:
     plan = _plan(planners=["entropy", "uniform"], seeds=4)
     known: dict[str, ScanResult] = {}

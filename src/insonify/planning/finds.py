@@ -192,7 +192,7 @@ class Obstacles:
         for k, step in reversed(list(enumerate(steps.tolist()))):
             least[k] = max(least[k], least[k + 1] - step)
         return [
-            replace(pose, z_m=max(pose.z_m, z))
+            replace(pose, z_m=z) if z > pose.z_m else pose
             for pose, z in zip(poses, least.tolist(), strict=True)
         ]
 

@@ -107,17 +107,17 @@ class InformationPlanner:
         z_m = min(max(shape.top_m, shape.over_m), -0.5)
         _, self._sees_m = seabed_in_view_m(geometry, max(z_m - area.region.low_m[2], 0.1))
         self._small = max(area.region.size_m[:2]) / 2 <= self._sees_m
-        self._search = () if self._small else sweep(area, geometry, z_m, settings.ping_m)
+        self.search = () if self._small else sweep(area, geometry, z_m, settings.ping_m)
         self._visits: list[Visit] = []
         self._flown: Choice | None = None
 
     def next_scan(self, belief: Belief, nav: Nav) -> Decision:
         """The next track of the search, or what then tells most a metre."""
-        if len(nav.scans) < len(self._search):
-            return self._within_budget(list(self._search[len(nav.scans)].waypoints), nav)
+        if len(nav.scans) < len(self.search):
+            return self._within_budget(list(self.search[len(nav.scans)].waypoints), nav)
         self._learn(belief)
         best, most = None, 0.0
-        choices = list(self._choices(self._open_finds(belief), belief, nav.pose))
+        choices = list(self._choices(self.open_finds(belief), belief, nav.pose))
         for choice, settled in zip(choices, self._expected(choices, belief), strict=True):
             a_metre = settled / max(_length_m(choice.path), 1.0)
             if a_metre > most:
@@ -141,7 +141,7 @@ class InformationPlanner:
             return Decision(stop=StopReason.PLAN_FLOWN)
         return Decision(path=ScanPath(tuple(pings)))
 
-    def _open_finds(self, belief: Belief) -> list[tuple[Find, Visit]]:
+    def open_finds(self, belief: Belief) -> list[tuple[Find, Visit]]:
         """What stands out and was not left, or the area if that is small; with its visits."""
         region, voxels = self.area.region, belief.voxels
         looked_at = [visit.box.grown(_BEYOND_M) for visit in self._visits]
