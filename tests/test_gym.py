@@ -64,7 +64,8 @@ def test_gymnasiums_checker_has_nothing_to_say(more: dict[str, Any]) -> None:
 
 def test_every_scenario_has_an_environment() -> None:
     for name in scenarios():
-        spec = gymnasium.spec(f"insonify/{name.capitalize()}-v0")
+        title = name.title().replace("-", "")
+        spec = gymnasium.spec(f"insonify/{title}-v0")
         assert spec.kwargs == {"scenario": name}
     env = gymnasium.make("insonify/Scan-v0", scenario="pipe", settings=[TABLE]).unwrapped
     assert isinstance(env, ScanEnv) and env.action_space.shape == (4,)

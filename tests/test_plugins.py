@@ -106,7 +106,7 @@ def test_by_file_and_by_module_with_options(own: Path) -> None:
     ("name", "options", "words"),
     [
         ("entrop", {}, "no planner named 'entrop'; did you mean 'entropy'"),
-        ("nonesuch", {}, "choose one of entropy, lawnmower, lawnmower-near, rosette"),
+        ("nonesuch", {}, "choose one of entropy, information, lawnmower, lawnmower-near, rosette"),
         ("none.py:Still", {}, "no such file as none.py"),
         ("nonesuch_module:Still", {}, "no module 'nonesuch_module'"),
         ("own.py:Stil", {}, "no class 'Stil'; did you mean 'Still'"),

@@ -70,7 +70,7 @@ def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
     [
         ("mapping.voxel=0.2", "mapping.voxel_m"),
         ("nonsense=1", "no setting 'nonsense'"),
-        ("mapping.voxel_m=-1", "greater than 0, not -1"),
+        ("mapping.voxel_m=-1", "greater than or equal to 0.0001, not -1"),
         ("mapping.voxel_m=nan", "mapping.voxel_m"),
         ("sonar.beams=0", "sonar.beams"),
         ("sonar.azimuth_fov_deg=0", "sonar.azimuth_fov_deg"),
@@ -78,7 +78,10 @@ def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
         ("sonar.range_min_m=20", "must exceed"),
         ("entropy.candidates=0", "entropy.candidates"),
         ("entropy.termination=1.5", "entropy.termination"),
-        ("planner=random", "choose one of entropy, lawnmower, lawnmower-near, rosette"),
+        (
+            "planner=random",
+            "choose one of entropy, information, lawnmower, lawnmower-near, rosette",
+        ),
         ("seed=-1", "seed"),
         ("object=3", "object"),
     ],
