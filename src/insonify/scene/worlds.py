@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -13,7 +13,6 @@ import trimesh
 
 from insonify import limits, memory
 from insonify.errors import WorldError
-from insonify.frames import rotation_from_rpy
 from insonify.pictures import opened_picture
 from insonify.scene import Body, Scene
 from insonify.scene.materials import Material, NormalMap, material_named, read_normal_map
@@ -28,6 +27,7 @@ from insonify.scene.sdf import (
     pose_of,
 )
 from insonify.scene.seabed import grid_triangles
+from insonify.scene.shapes import SHAPES
 from insonify.types import Float64
 
 _LIGHTS = {"sun", "sunlight", "light", "lights", "sky"}
@@ -234,8 +234,8 @@ class _Reader:
                 return self._mesh(element, path, where)
             if element.tag == "heightmap":
                 return self._heightmap(element, path, where)
-            if element.tag in _SHAPES:
-                return _SHAPES[element.tag](element, where)
+            if element.tag in SHAPES:
+                return SHAPES[element.tag](element, where)
         names = ", ".join(e.tag for e in kinds if e.tag != "empty")
         if names:
             warnings.warn(
@@ -340,72 +340,3 @@ def _is_water(shape: ET.Element) -> bool:
         texts += [e.text or "" for tag in ("uri", "name") for e in material.iter(tag)]
     words = " ".join(texts).lower()
     return "water" in words.replace("underwater", "") or "ocean_surface" in words
-
-
-def _positive(
-    element: ET.Element, tag: str, count: int, default: list[float], where: str
-) -> Float64:
-    values = numbers(element.find(tag), count, default, where)
-    if not (values > 0.0).all():
-        raise WorldError(f"{where}: <{tag}> must be positive, not {element.findtext(tag)!r}")
-    return values
-
-
-def _box(element: ET.Element, where: str) -> trimesh.Trimesh:
-    mesh: trimesh.Trimesh = trimesh.creation.box(_positive(element, "size", 3, [1.0] * 3, where))
-    return mesh
-
-
-def _sphere(element: ET.Element, where: str) -> trimesh.Trimesh:
-    radius_m = float(_positive(element, "radius", 1, [1.0], where)[0])
-    mesh: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=radius_m)
-    return mesh
-
-
-def _cylinder(element: ET.Element, where: str) -> trimesh.Trimesh:
-    radius_m = float(_positive(element, "radius", 1, [1.0], where)[0])
-    length_m = float(_positive(element, "length", 1, [1.0], where)[0])
-    mesh: trimesh.Trimesh = trimesh.creation.cylinder(radius_m, length_m, sections=96)
-    return mesh
-
-
-def _capsule(element: ET.Element, where: str) -> trimesh.Trimesh:
-    radius_m = float(_positive(element, "radius", 1, [0.5], where)[0])
-    length_m = float(_positive(element, "length", 1, [1.0], where)[0])
-    mesh: trimesh.Trimesh = trimesh.creation.capsule(length_m, radius_m, count=[48, 48])
-    mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return mesh
-
-
-def _ellipsoid(element: ET.Element, where: str) -> trimesh.Trimesh:
-    mesh: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=1.0)
-    mesh.apply_transform(np.diag([*_positive(element, "radii", 3, [1.0] * 3, where), 1.0]))
-    return mesh
-
-
-def _plane(element: ET.Element, where: str) -> trimesh.Trimesh:
-    normal = numbers(element.find("normal"), 3, [0.0, 0.0, 1.0], where)
-    length = float(np.linalg.norm(normal))
-    if length == 0.0:
-        raise WorldError(f"{where}: a plane's <normal> has no direction")
-    size_x, size_y = _positive(element, "size", 2, [1.0, 1.0], where) / 2
-    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
-    mesh = trimesh.Trimesh(square * [size_x, size_y, 1.0], [[0, 1, 2], [0, 2, 3]], process=False)
-    turn = np.eye(4)
-    x, y, z = normal / length
-    turn[:3, :3] = rotation_from_rpy(0.0, 0.0, np.arctan2(y, x)) @ rotation_from_rpy(
-        0.0, float(np.arccos(np.clip(z, -1.0, 1.0))), 0.0
-    )
-    turn[:3, :3] = turn[:3, :3] @ rotation_from_rpy(0.0, 0.0, -np.arctan2(y, x))
-    mesh.apply_transform(turn)
-    return mesh
-
-
-_SHAPES: dict[str, Callable[[ET.Element, str], trimesh.Trimesh]] = {
-    "box": _box,
-    "sphere": _sphere,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-    "ellipsoid": _ellipsoid,
-    "plane": _plane,
-}
