@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -22,8 +21,8 @@ from insonify.evaluation import ground_truth, solid_f1
 from insonify.extras import require
 from insonify.mapping.mapper import Belief, check_voxels
 from insonify.mapping.voxels import VoxelMap, VoxelWindow
-from insonify.mission.loop import Pinged, Scanned, Teleport, fly
-from insonify.mission.run import check_memory
+from insonify.mission.loop import Pinged, Scanned, fly
+from insonify.mission.run import carrier_of, check_memory
 from insonify.mission.setup import Config, World, scenario_config, scenarios
 from insonify.planning.baselines import path_over_centre
 from insonify.planning.decision import Decision
@@ -32,7 +31,6 @@ from insonify.planning.once import comes_near
 from insonify.planning.rosette import DISTINCT_LOBES, RosettePlanner
 from insonify.seeds import Stream, generator
 from insonify.types import Array, Box, Float64, Nav, Ping, Pose, ScanPath
-from insonify.vehicle.instruments import doubtful
 from insonify.vehicle.settings import TELEPORT
 
 require("gymnasium", "environments", "gymnasium")
@@ -110,12 +108,8 @@ class _Episode:
         self.ping: Ping | None = None
         self.pings, self.moves, self.path_m = 0, 0, 0.0
         self._asked, noise = _Asked(), generator(config.seed, Stream.NOISE)
-        scene, self._clearance_m = self.world.scene, config.survey.clearance_m
-        carrier = Teleport(
-            lambda pose, _: self.world.sonar.ping(scene, pose, noise),
-            lambda path: scene.first_collision(path, self._clearance_m),
-            partial(doubtful, config.vehicle.pose_noise, generator(config.seed, Stream.POSES)),
-        )
+        self._clearance_m, sonar = config.survey.clearance_m, self.world.sonar
+        carrier = carrier_of(self.world, lambda true, _: sonar.ping(self.world.scene, true, noise))
         self._steps = fly(carrier, self.mapper, self._asked)
 
     def hindrance(self, path: ScanPath) -> str:

@@ -43,14 +43,13 @@ class Pose:
     yaw_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, self.numbers)):
+        numbers = self.numbers
+        if not all(map(math.isfinite, numbers)):
+            raise GeometryError(f"a pose needs six finite numbers, not {numbers}: check its source")
+        if max(map(abs, numbers)) > FARTHEST_POSE:
             raise GeometryError(
-                f"a pose needs six finite numbers, not {self.numbers}: check its source"
-            )
-        if max(map(abs, self.numbers)) > FARTHEST_POSE:
-            raise GeometryError(
-                f"a pose of {self.numbers} is nowhere: no number may be beyond {FARTHEST_POSE:g}; "
-                "check its source"
+                f"a pose of {numbers} is nowhere: no number may be beyond {FARTHEST_POSE:g}; check "
+                "its source"
             )
 
     @property

@@ -115,6 +115,13 @@ def test_it_does_not_go_on_with_other_voxels_inside(arch: tuple[Run, list[PosedP
         other.load(saved)
 
 
+def test_it_does_not_go_on_with_what_an_earlier_version_saved() -> None:
+    saved = CarvingMapper(SETTINGS).save()
+    saved["fine_sides"] = saved.pop("fine_views")
+    with pytest.raises(ConfigError, match="earlier"):
+        CarvingMapper(SETTINGS).load(saved)
+
+
 @pytest.mark.parametrize("inside", [1, 3])
 def test_any_number_of_voxels_inside_makes_a_map(
     arch: tuple[Run, list[PosedPing]], inside: int

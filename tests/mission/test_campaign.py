@@ -94,6 +94,18 @@ def test_all_combinations_in_order_the_planners_last() -> None:
     assert [tuple(row[key] for key in keys) for row in told] == list(expected)
 
 
+def test_noise_is_of_the_runs_without_a_vehicle_alone() -> None:
+    vehicle = {"name": "bluerov2", "pose_noise": {"position_m": 0.05}}
+    plan = _plan(seeds=1, navigation=["none", "noise", "dvl"], set={"vehicle": vehicle})
+    runs = [run for one in plan for run in one.runs]
+    assert [factors(run)["navigation"] for run in runs] == ["none", "noise", "dvl"]
+    assert [run.vehicle.pose_noise.position_m for run in runs] == [0.0, 0.05, 0.0]
+    with pytest.raises(ConfigError, match="needs poses that are off"):
+        _plan(navigation=["noise"])
+    with pytest.raises(ConfigError, match="pose_noise is for scans without a vehicle"):
+        _plan(set={"vehicle": vehicle})
+
+
 def test_a_campaign_of_one_run_is_that_run() -> None:
     ((run,),) = (one.runs for one in _plan(seeds=[2], set={"mapping": {"voxel_m": 0.25}}))
     assert run == scenario_config("tetrapod", [{"mapping": {"voxel_m": 0.25}, "seed": 2}])

@@ -46,8 +46,8 @@ PlannerOption = Annotated[
     typer.Option(
         "--planner",
         metavar="NAME",
-        help="entropy, uniform, lawnmower, uniform-near, lawnmower-near, rosette; or your own: "
-        "module:Name or file.py:Name.",
+        help="entropy, uniform, lawnmower, uniform-near, lawnmower-near, rosette, information; or "
+        "your own: module:Name or file.py:Name.",
     ),
 ]
 MapperOption = Annotated[

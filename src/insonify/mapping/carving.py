@@ -144,8 +144,10 @@ class CarvingMapper:
         """Go on from what `save` gave.
 
         Raises:
-            ConfigError: It had other voxels inside.
+            ConfigError: It is of an earlier version, or had other voxels inside.
         """
+        if "fine_views" not in arrays:
+            raise ConfigError("the map to go on with is of an earlier `carving`; map it again")
         inside = self.settings.carving.inside
         if int(arrays["inside"]) != inside:
             raise ConfigError(

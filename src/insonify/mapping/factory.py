@@ -53,7 +53,11 @@ def check_mapper(name: str, options: Mapping[str, Any] | None = None) -> None:
     check_name("mapper", name, MAPPERS, options)
 
 
+_GROWTH = 3
+"""Memory at a moment when the map's arrays double: the old ones and the new."""
+
+
 def bytes_per_voxel(name: str, settings: MappingSettings) -> int:
-    """What a voxel of a mapper's map takes, with what the mapper keeps for it."""
+    """What a voxel of a growing map takes at most, with what its mapper keeps for it."""
     kept = _INSIDE[name](settings) if name in _INSIDE else 0
-    return BYTES_PER_VOXEL * (1 + kept)
+    return BYTES_PER_VOXEL * (1 + kept) * _GROWTH

@@ -170,12 +170,13 @@ def _config(campaign: CampaignSettings, chosen: tuple[str | None, ...]) -> Confi
         below["sonar"] = {"preset": sonar}
     own = [campaign.set_for[name] for name in chosen if name in campaign.set_for]
     above: list[Table] = []
+    exact = {"pose_noise": PoseNoiseSettings().model_dump()}
     if navigation == "none":
-        above = [{"vehicle": {"name": TELEPORT, "pose_noise": PoseNoiseSettings().model_dump()}}]
+        above = [{"vehicle": {"name": TELEPORT} | exact}]
     elif navigation == "noise":
         above = [{"vehicle": {"name": TELEPORT}}]
     elif navigation is not None:
-        above = [{"vehicle": {"navigation": navigation}}]
+        above = [{"vehicle": {"navigation": navigation} | exact}]
     config = scenario_config(scenario, [below, campaign.set, *own, *above])
     if navigation in ("truth", "dvl") and config.vehicle.name == TELEPORT:
         raise ConfigError(

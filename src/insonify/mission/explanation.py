@@ -27,8 +27,6 @@ from insonify.planning.active import EntropySettings
 from insonify.planning.entropy import binary_entropy
 from insonify.types import FanGeometry, Float32, Ping, PosedPing
 
-_GROWTH = 3
-"""Memory at a moment when the map's arrays double: the old ones and the new."""
 _BEAMS, _BINS = 12, 24
 """Pixels to either side of a voxel's that are kept for pictures."""
 
@@ -326,8 +324,8 @@ def _check(mapper: Mapper, saved: VoxelMap, settings: MappingSettings) -> Explai
             f"mapper {mapper.name!r} cannot say what made a voxel; give it a method "
             "explain(ping, pose, voxel), or derive it from BayesMapper (docs/own.md)"
         )
-    per_voxel = bytes_per_voxel(mapper.name, settings) * _GROWTH
-    needed = float(saved.block_count * VOXELS_PER_BLOCK * per_voxel)
+    voxels = saved.block_count * VOXELS_PER_BLOCK
+    needed = float(voxels * bytes_per_voxel(mapper.name, settings))
     if not memory.fits(needed):
         raise MemoryLimitError(
             f"to make the map again needs {memory.shortage(needed)}; close other programs, or do "

@@ -33,8 +33,6 @@ _ABOVE_WATER_M = 0.5
 _FAR_M, _ORIGIN_STEP_M = 10_000.0, 1000.0
 """Coordinates beyond are told from an origin of the map, rounded to so much."""
 _NOISE_PINGS = 32
-_GROWTH = 3
-"""Memory at a moment when the map's arrays double: the old ones and the new."""
 
 
 @dataclass(slots=True, eq=False)
@@ -308,7 +306,7 @@ def _check_reach(remap: Remap, recording: Recording, pose: Pose) -> None:
 def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
     """Refuse what would not fit, before the next ping is mapped."""
     voxels, voxel_m = remap.mapper.voxels, remap.settings.voxel_m
-    per_voxel = bytes_per_voxel(remap.mapper.name, remap.settings) * _GROWTH
+    per_voxel = bytes_per_voxel(remap.mapper.name, remap.settings)
     needed = float(voxels.block_count * VOXELS_PER_BLOCK * per_voxel)
     if all(replace(fan, mount=geometry.mount) != geometry for fan in remap.fans):
         remap.fans.append(geometry)

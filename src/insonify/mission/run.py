@@ -214,7 +214,7 @@ def execute(
     check_voxels(mapper, config.mapping)
     planner = world.planner() if planner is None else planner
     noise = generator(config.seed, Stream.NOISE)
-    carrier = _carrier(world, _sonar(world, noise, remembered), pace)
+    carrier = carrier_of(world, _sonar(world, noise, remembered), pace)
     if isinstance(carrier, Teleport):
         _check_plan(world, planner)
     truth = ground_truth(world.scene, world.stage.bodies, config.mapping.voxel_m)
@@ -256,8 +256,10 @@ def _copy(mapper: Mapper) -> Mapper:
         ) from err
 
 
-def _carrier(
-    world: World, insonify: Callable[[Pose, Pose], Ping], pace: Callable[[float], None]
+def carrier_of(
+    world: World,
+    insonify: Callable[[Pose, Pose], Ping],
+    pace: Callable[[float], None] = lambda time_s: None,
 ) -> Teleport | Voyage:
     """What carries the sonar: the vehicle that the config names, or none."""
     config, scene = world.config, world.scene
@@ -267,11 +269,6 @@ def _carrier(
             insonify,
             lambda path: scene.first_collision(path, clearance_m),
             partial(doubtful, config.vehicle.pose_noise, generator(config.seed, Stream.POSES)),
-        )
-    if config.vehicle.is_noisy:
-        raise ConfigError(
-            f"vehicle.pose_noise is for scans without a vehicle; {config.vehicle.name!r} believes "
-            "what its navigation tells it, so leave it out"
         )
     vehicle = vehicle_named(config.vehicle.name)
     surroundings = Surroundings(insonify, ray_query(scene), hull_contact(scene, vehicle.radius_m))
@@ -387,7 +384,7 @@ def check_memory(world: World) -> None:
     area_m3 = size_x * size_y * size_z
     swept_m3 = max(swept.block_count * swept.block_m**3, size_x * size_y * fan.size_m[2])
     kept = bytes_per_voxel(world.config.mapper, world.config.mapping)
-    weight = swept_m3 * kept * 3 + area_m3 * BYTES_PER_AREA_VOXEL
+    weight = swept_m3 * kept + area_m3 * BYTES_PER_AREA_VOXEL
     needed = weight / voxel_m**3
     if memory.fits(needed):
         return

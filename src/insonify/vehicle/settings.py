@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from insonify.config.settings import Settings
 from insonify.vehicle.autopilot.control import ControlSettings
@@ -44,6 +44,15 @@ class VehicleSettings(Settings):
     control: ControlSettings = ControlSettings()
     sensors: SensorSettings = SensorSettings()
     fault: FaultSettings = FaultSettings()
+
+    @model_validator(mode="after")
+    def _noise_is_without_a_vehicle(self) -> Self:
+        if self.is_noisy and self.name != TELEPORT:
+            raise ValueError(
+                f"pose_noise is for scans without a vehicle; {self.name!r} believes what its "
+                "navigation tells it, so leave it out"
+            )
+        return self
 
     @property
     def is_noisy(self) -> bool:
