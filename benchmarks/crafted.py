@@ -322,7 +322,7 @@ def csv(rng: random.Random) -> list[str]:
         for _ in range(rng.randint(0, 3))
     ]
     Path("p.csv").write_text("\n".join([*([head] if head else []), *rows]), encoding="utf-8")
-    return ["simulate", "tank", "--path", "p.csv", *VIEW]
+    return ["simulate", "tank", "--path", "p.csv", "--set", "sonar.rate_hz=0.02", *VIEW]
 
 
 MAKERS: dict[str, Make] = {

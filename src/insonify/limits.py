@@ -10,6 +10,8 @@ MOST_PIXELS = 64_000_000
 MOST_HEIGHTS = 25_000_000
 """Of a height map or seabed, which become twice as many triangles; 5000 x 5000 are inside."""
 
+MOST_ROUTE_PINGS = 1_000_000
+"""Along a route with times."""
 MOST_TOML_BYTES = 16 << 20
 MOST_KEY_DOTS = 100
 """Of a TOML key; what reads them keeps every beginning of one."""

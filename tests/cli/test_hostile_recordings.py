@@ -113,5 +113,7 @@ def test_toml_and_csv(run: Run) -> None:
         assert f"{name}.toml" in told
     Path("path.csv").write_text("x_m,y_m,z_m\n1e308,0,0\n1,1,1\n")
     run("simulate", "tank", "--path", "path.csv", "--out", "out")
+    Path("ages.csv").write_text("time_s,x_m,y_m,z_m\n0,0,0,0\n1e12,1,1,1\n")
+    assert "pings, more than" in run("simulate", "tank", "--path", "ages.csv", "--out", "out")
     Path("long.csv").write_text("x_m,y_m,z_m\n" + 300_000 * "1" + ",0,0\n")
     run("simulate", "tank", "--path", "long.csv", "--out", "out")

@@ -18,6 +18,7 @@ from insonify.config.settings import Table, validated
 from insonify.errors import ConfigError
 from insonify.frames import pose_at
 from insonify.imaging.settings import WorldImaging, world_table
+from insonify.limits import MOST_ROUTE_PINGS
 from insonify.scene import Scene
 from insonify.seeds import Stream, generator
 from insonify.sonar import Sonar
@@ -227,7 +228,7 @@ def ping_times(config: Simulation) -> list[tuple[float, Pose]]:
         return list(zip(trajectory.times_s, trajectory.poses, strict=True))
     interval_s = config.sonar.interval_s(config.water.sound_speed_mps)
     start_s = trajectory.times_s[0]
-    count = math.floor((trajectory.end_s - start_s) / interval_s + 1e-9) + 1
+    count = _count((trajectory.end_s - start_s) / interval_s + 1e-9) + 1
     times = [start_s + k * interval_s for k in range(count)]
     return [(time_s, pose_at(trajectory, time_s)) for time_s in times]
 
@@ -243,11 +244,26 @@ def turn_starts(config: Simulation) -> list[tuple[float, Callable[[float], Pose]
     interval_s = config.sonar.interval_s(config.water.sound_speed_mps)
     turn_s = len(head_angles(config.sonar)) * interval_s
     span_s = trajectory.end_s - trajectory.times_s[0]
-    count = max(1, math.floor(span_s / turn_s + 1e-6))
+    count = max(1, _count(span_s / turn_s + 1e-6))
     return [
         (trajectory.times_s[0] + k * turn_s, lambda time_s: pose_at(trajectory, time_s))
         for k in range(count)
     ]
+
+
+def _count(pings: float) -> int:
+    """How many pings, or turns, a route takes.
+
+    Raises:
+        ConfigError: More than `insonify.limits` allows.
+    """
+    if not pings <= MOST_ROUTE_PINGS:
+        raise ConfigError(
+            f"the route takes so long that there would be {pings:.3g} pings, more than "
+            f"{MOST_ROUTE_PINGS:,}; check its times, or let the sonar ping less often "
+            "(--set sonar.rate_hz=...)"
+        )
+    return math.floor(pings)
 
 
 def orbit(
