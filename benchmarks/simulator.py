@@ -1,11 +1,15 @@
-"""The simulator's tables: ``python -m benchmarks.simulator``.
+"""The simulator's tables: ``python -m benchmarks.simulator [--quick]``.
 
-The paper's Tables 1 and 2 for both renderers with the error of each image, every preset against
-its device's own rate, and growth over triangles, beams and bins (docs/images/growth.png).
+``--quick`` (one minute) gives ratios to yardsticks timed in turn with what is measured: a normal
+draw of numpy's for each pixel, and a plain cast of Embree's along the even rays of a ping.
+
+Without it: the paper's Tables 1 and 2 for both renderers with the error of each image, every preset
+against its device's own rate, and growth over triangles, beams and bins (docs/images/growth.png).
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import statistics
@@ -21,6 +25,7 @@ from rich.table import Table
 
 from benchmarks.measure import machine
 from insonify.errors import RendererError
+from insonify.frames import world_from_sonar
 from insonify.report.fans import png
 from insonify.scene import Body, Material, Scene
 from insonify.scene.meshes import place_mesh, scaled
@@ -28,8 +33,11 @@ from insonify.scene.objects import shipwreck
 from insonify.scene.seabed import procedural_seabed
 from insonify.sonar import RendererName, Sonar, renderer_named
 from insonify.sonar.devices import Kind, SonarDevice, named_device, sonar_presets
-from insonify.sonar.formation import normalise_energy
+from insonify.sonar.embree import EmbreeRenderer
+from insonify.sonar.formation import ImageSettings, form_image, normalise_energy
 from insonify.sonar.histogram import Renderer
+from insonify.sonar.patches import even_grid
+from insonify.sonar.physical import PhysicalSettings, Receiver, SpeckleField, form_physical
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Float32, Pose
 
@@ -164,6 +172,54 @@ def preset_table(frames: int = 15) -> Iterator[dict[str, object]]:
         yield {"preset": name, "pings/s": ours_hz, "device_hz": own_hz, "ratio": ours_hz / own_hz}
 
 
+QUICK = ("park-2025", "gemini-720is", "oculus-m750d-1200khz", "oculus-m1200d-2100khz", "ping360")
+
+
+def quick_table(rounds: int = 15) -> Iterator[dict[str, object]]:
+    """Whole pings and image formation alone, in draws and casts of the same round."""
+    for name in QUICK:
+        device = named_device(name)
+        scene = world(range_m=device.range_max_m)
+        spent: dict[str, list[float]] = {}
+        for key, pose in enumerate(poses(rounds, device.range_max_m)):
+            for what, function in _jobs(device, scene, pose, key).items():
+                start = time.perf_counter()
+                function()
+                spent.setdefault(what, []).append(time.perf_counter() - start)
+        middle = {what: statistics.median(times[1:]) for what, times in spent.items()}
+        draw_s, cast_s = middle["draw"], middle["cast"]
+        yield {
+            "preset": name,
+            "pixels": f"{device.beams} x {device.bins}",
+            "ping, draws": middle["ping"] / draw_s,
+            "ping, casts": middle["ping"] / cast_s,
+            "physical, draws": middle["physical"] / draw_s,
+            "forming, draws": middle["forming"] / draw_s,
+            "forming physical, draws": middle["forming physical"] / draw_s,
+        }
+
+
+def _jobs(
+    device: SonarDevice, scene: Scene, pose: Pose, key: int
+) -> dict[str, Callable[[], object]]:
+    """The yardsticks and what is measured by them, from one pose."""
+    geometry, rng = device.geometry, np.random.default_rng(key)
+    plain, physical = Sonar(device), Sonar(device, physical=PhysicalSettings())
+    receiver, field = Receiver(device, PhysicalSettings()), SpeckleField()
+    echoes = EmbreeRenderer().render(scene, geometry, pose, plain.response)
+    grid = even_grid(geometry, *even_samples(geometry, SamplingSettings()))
+    there = world_from_sonar(pose, geometry.mount)
+    rays = (grid.directions @ there[:3, :3].T).astype(np.float32)
+    return {
+        "draw": lambda: rng.standard_normal((geometry.bins, geometry.beams), dtype=np.float32),
+        "cast": lambda: scene.cast(there[:3, 3], rays, geometry.range_max_m),
+        "ping": lambda: plain.ping(scene, pose, rng),
+        "physical": lambda: physical.ping(scene, pose, rng),
+        "forming": lambda: form_image(echoes, ImageSettings(), key),
+        "forming physical": lambda: form_physical(echoes, geometry, receiver, field, pose, key),
+    }
+
+
 Curves = dict[str, tuple[list[float], list[float]]]
 
 
@@ -228,7 +284,12 @@ def _show(title: str, rows: list[dict[str, object]]) -> None:
 
 def main() -> None:
     """Print all tables and write them to ``build/simulator.json``."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="ratios to yardsticks only")
     print(machine())
+    if parser.parse_args().quick:
+        _show("Pings in normal draws and plain casts", list(quick_table()))
+        return
     size = f"{FRAMES} frames, {triangles(world()):,} triangles"
     parts: dict[str, Callable[[], Iterator[dict[str, object]]]] = {
         f"Cerqueira et al. 2017, Tables 1 and 2: {size}": paper_tables,

@@ -47,7 +47,7 @@ def _levels(
     echo: np.ndarray,
     settings: PhysicalSettings,
     water: WaterSettings = STILL,
-    rng: np.random.Generator | None = None,
+    key: int = 0,
 ) -> Float64:
     """Received levels in dB."""
     histogram = EchoHistogram(echo.astype(np.float32), (echo > 0).astype(np.float32))
@@ -57,7 +57,7 @@ def _levels(
         Receiver(SonarDevice(frequency_khz=700.0), settings, water),
         SpeckleField(),
         Pose(0, 0, 0),
-        rng or np.random.default_rng(0),
+        key,
     )
     levels: Float64 = image.astype(float) * settings.display_range_db + settings.display_floor_db
     return levels
@@ -128,12 +128,19 @@ def test_receiver_noise_is_exponential_in_power_at_its_level() -> None:
 def test_speckle_stays_at_rest_and_decorrelates_with_motion() -> None:
     beam_rad, wavelength_m = math.radians(1.0), 0.002
     aperture_m = 0.886 * wavelength_m / beam_rad
-    rng = np.random.default_rng(1)
+    device = SonarDevice(frequency_khz=1.5 / wavelength_m, beamwidth_deg=1.0)
+    settings = QUIET.model_copy(update={"speckle": Speckle.RAYLEIGH})
+    receiver = Receiver(device, settings, WaterSettings(sound_speed_mps=1500.0))
+    geometry = FanGeometry(math.radians(300.0), 0.2, 300, 300, 0.0, 40.0)
+    power = np.full((300, 300), 1e10, np.float32)
 
     def correlation(pose: Pose) -> float:
         field = SpeckleField()
-        before = field.move((300, 300), Pose(0, 0, 0), beam_rad, wavelength_m, None, rng)
-        after = field.move((300, 300), pose, beam_rad, wavelength_m, None, rng)
+        shown = [
+            receiver.hear(power, geometry, field, at, key)
+            for key, at in enumerate((Pose(0, 0, 0), pose))
+        ]
+        before, after = (10.0 ** (30.0 * image.astype(float)) for image in shown)
         return float(np.corrcoef(before.ravel(), after.ravel())[0, 1])
 
     assert correlation(Pose(0, 0, 0)) == pytest.approx(1.0)
@@ -143,6 +150,24 @@ def test_speckle_stays_at_rest_and_decorrelates_with_motion() -> None:
     turned = Pose(0, 0, 0, yaw_rad=beam_rad / 4)
     assert correlation(turned) == pytest.approx(math.exp(-0.5), abs=0.02)
     assert abs(correlation(Pose(0, 10 * aperture_m, 0))) < 0.02
+
+
+@pytest.mark.parametrize("speckle", list(Speckle))
+def test_a_skipped_ping_leaves_what_a_ping_leaves(speckle: Speckle) -> None:
+    device = SonarDevice(beams=12, bins=40, frequency_khz=700.0)
+    settings = PhysicalSettings(speckle=speckle)
+    wall = trimesh.creation.box((0.1, 40.0, 40.0))
+    wall.apply_translation((5.0, 0.0, 0.0))
+    scene = Scene((Body("wall", wall, Material("rock", 1.0, -10.0)),))
+    images = []
+    for skip in (False, True):
+        sonar, rng = Sonar(device, physical=settings), np.random.default_rng(3)
+        if skip:
+            sonar.skip(Pose(0, 0, 0), rng)
+        else:
+            sonar.ping(scene, Pose(0, 0, 0), rng)
+        images.append(sonar.ping(scene, Pose(0, 1e-4, 0), rng).image)
+    assert images[0].tobytes() == images[1].tobytes()
 
 
 @pytest.mark.parametrize(("taper", "lobe_db"), [(0.0, -13.26), (1.0, -31.5), (0.852, -42.7)])

@@ -9,6 +9,7 @@ import numpy as np
 
 from insonify.scene import Scene
 from insonify.sonar.devices import SonarDevice
+from insonify.sonar.draws import drawn_key
 from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
 from insonify.sonar.histogram import Law, Renderer, Response
@@ -81,21 +82,24 @@ class Sonar:
             head_rad: How far to the left the head of a scanning sonar is turned.
             time_s: When the sound is sent.
         """
-        rng = rng or np.random.default_rng(0)
+        key = drawn_key(rng or np.random.default_rng(0))
         geometry = self.device.geometry_at(head_rad)
         echoes = self._renderer.render(scene, geometry, pose, self.response)
         if self.physical is None:
-            image = form_image(echoes, self.image, rng)
+            image = form_image(echoes, self.image, key)
         else:
             receiver = Receiver(self.device, self.physical, self.water)
-            image = form_physical(echoes, geometry, receiver, self.speckle, pose, rng)
+            image = form_physical(echoes, geometry, receiver, self.speckle, pose, key)
         return Ping(image, geometry, time_s, head_rad)
 
     def skip(self, pose: Pose, rng: np.random.Generator) -> None:
-        """Let its state move on as if it had pinged from a pose; ``rng`` moves on in part only."""
+        """Let its state and ``rng`` move on as if it had pinged from a pose."""
+        key = drawn_key(rng)
         if self.physical is not None and self.physical.speckle is not Speckle.NONE:
+            geometry = self.device.geometry_at(0.0)
+            silence = np.zeros((geometry.beams, geometry.bins), np.float32)
             receiver = Receiver(self.device, self.physical, self.water)
-            receiver.move(self.speckle, self.device.geometry_at(0.0), pose, rng)
+            receiver.hear(silence, geometry, self.speckle, pose, key)
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""

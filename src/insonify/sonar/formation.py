@@ -1,16 +1,13 @@
-"""From echoes to an image: energy normalisation, speckle, receiver noise, as Cerqueira et al. 2017.
-
-Every stage takes and returns ``(bins, beams) float32`` in [0, 1].
-"""
+"""From echoes to an image as Cerqueira et al. 2017: normalisation, speckle, receiver noise."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from pydantic import Field
 
 from insonify.config.settings import Settings
+from insonify.jit import parallel_kernel, prange
+from insonify.sonar.draws import draw_row, normal_table, skew_normal_table, variate
 from insonify.sonar.histogram import FULL_CELL, EchoHistogram
 from insonify.types import Float32
 
@@ -29,24 +26,30 @@ class ImageSettings(Settings):
     noise: float = Field(0.02, ge=0, le=1, description="standard deviation of additive noise")
 
 
-def form_image(echoes: EchoHistogram, settings: ImageSettings, rng: np.random.Generator) -> Float32:
+def form_image(echoes: EchoHistogram, settings: ImageSettings, key: int) -> Float32:
     """The sonar image of an echo histogram: eq. 1, then eq. 2, then additive noise.
+
+    The paper's Gaussian speckle n(t) of eq. 2 is "skewed towards low values" without saying how;
+    this is Azzalini's skew-normal with ``delta = speckle_skew``, shifted to mean 1, scaled to the
+    standard deviation ``speckle`` and cut at 0.
 
     Args:
         echoes: What a renderer saw.
         settings: Which noise, how strong.
-        rng: Where the noise comes from.
+        key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
     """
-    image = normalise_energy(echoes)
-    if settings.speckle > 0.0:
-        image *= speckle(image.shape, settings.speckle, settings.speckle_skew, rng)
-    if settings.noise > 0.0:
-        image += rng.standard_normal(image.shape, dtype=np.float32) * np.float32(settings.noise)
-    return np.clip(image, 0.0, 1.0, out=image)
+    echo, coverage = np.ascontiguousarray(echoes.echo.T), np.ascontiguousarray(echoes.coverage.T)
+    image = np.empty_like(echo)
+    _form(
+        echo, coverage, FULL_CELL / echo.shape[1], np.uint64(key),
+        skew_normal_table(settings.speckle, settings.speckle_skew), normal_table(),
+        settings.noise, image,
+    )  # fmt: skip
+    return image.T
 
 
 def normalise_energy(echoes: EchoHistogram) -> Float32:
-    """Mean echo of the samples in each cell, 0 where there is none (eq. 1).
+    """Mean echo of the samples in each cell, 0 where there is none (eq. 1): no noise yet.
 
     A cell that holds next to nothing, less than ``FULL_CELL`` of an even share of its beam, fades
     with it.  Otherwise an outline's brightness would hang on whether one sample more just touches
@@ -56,22 +59,25 @@ def normalise_energy(echoes: EchoHistogram) -> Float32:
     return (echoes.echo / np.maximum(echoes.coverage, least)).astype(np.float32)
 
 
-def speckle(
-    shape: tuple[int, ...], spread: float, skew: float, rng: np.random.Generator
-) -> Float32:
-    """Multiplicative noise n(t) of eq. 2: a skew-normal of mean 1, cut at 0.
-
-    The paper's Gaussian is "skewed towards low values" without saying how; this is Azzalini's
-    skew-normal with ``delta = skew``, shifted to mean 1 and scaled to the standard deviation
-    ``spread``.
-    """
-    noise = rng.standard_normal(shape, dtype=np.float32)
-    noise *= np.float32(math.sqrt(1.0 - skew * skew))
-    half = rng.standard_normal(shape, dtype=np.float32)
-    noise += np.abs(half, out=half) * np.float32(skew)
-    mean = skew * math.sqrt(2.0 / math.pi)
-    deviation = math.sqrt(1.0 - mean * mean)
-    noise -= np.float32(mean)
-    noise *= np.float32(spread / deviation)
-    noise += np.float32(1.0)
-    return np.maximum(noise, 0.0, out=noise)
+@parallel_kernel
+def _form(
+    echo: Float32,
+    coverage: Float32,
+    least: float,
+    key: np.uint64,
+    speckle: Float32,
+    normal: Float32,
+    noise: float,
+    image: Float32,
+) -> None:
+    """Normalise (beams, bins), multiply, add and clip; two bins share a counter."""
+    beams, bins = echo.shape
+    for beam in prange(beams):
+        drawn = np.empty((4, (bins + 1) // 2), np.uint32)
+        draw_row(key, beam, 0, drawn)
+        for cell in range(bins):
+            own = 2 * (cell % 2)
+            value = echo[beam, cell] / max(coverage[beam, cell], np.float32(least))
+            value = value * variate(speckle, drawn[own, cell // 2])
+            value += np.float32(noise) * variate(normal, drawn[own + 1, cell // 2])
+            image[beam, cell] = min(max(value, np.float32(0.0)), np.float32(1.0))

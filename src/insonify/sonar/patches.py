@@ -28,12 +28,13 @@ class View:
     def cast(self, directions: Float32) -> tuple[Hits, Float32]:
         """First hits within range, and the normals that shade them."""
         turn = self.transform[:3, :3].astype(np.float32)
-        world = directions @ turn.T
+        world = _turned(directions, turn)
         hits = self.scene.cast(self.transform[:3, 3], world, BEYOND * self.geometry.range_max_m)
         shading = self.scene.shading_normals(hits, world)
-        return Hits(hits.range_m, hits.normal @ turn, hits.body, hits.triangle, hits.uv), (
-            shading @ turn
-        )
+        back = np.ascontiguousarray(turn.T)
+        normal = _turned(hits.normal, back)
+        shading = normal if shading is hits.normal else _turned(shading, back)
+        return Hits(hits.range_m, normal, hits.body, hits.triangle, hits.uv), shading
 
     def samples(
         self,
@@ -98,6 +99,17 @@ def even_grid(geometry: FanGeometry, across_beam: int, over_elevation: int) -> G
     mesh = np.meshgrid(azimuth, elevation, indexing="ij")
     directions = directions_from_angles(mesh[0], mesh[1]).reshape(-1, 3).astype(np.float32)
     return Grid(directions, azimuth, elevation, step_az, step_el)
+
+
+@parallel_kernel
+def _turned(vectors: Float32, turn: Float32) -> Float32:
+    """Vectors (N, 3) turned; a product of matrices as thin as this is slow."""
+    found = np.empty_like(vectors)
+    for k in prange(len(vectors)):
+        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
+        for i in range(3):
+            found[k, i] = turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
+    return found
 
 
 @parallel_kernel

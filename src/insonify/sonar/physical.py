@@ -18,17 +18,20 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from insonify.config.settings import Settings
 from insonify.frames import transform_from_pose
+from insonify.jit import kernel, parallel_kernel, prange
 from insonify.sonar.devices import SonarDevice
+from insonify.sonar.draws import draw_row, gamma_table, normal_table, variate
 from insonify.sonar.histogram import EchoHistogram
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Float64, Pose
 
-Complex64 = npt.NDArray[np.complex64]
+_DB_PER_OCTAVE = np.float32(10.0 * math.log10(2.0))
+_DB_PER_NEPER = np.float32(10.0 / math.log(10.0))
+_DB_OF_MIDDLE = np.float32(10.0 * math.log10(1.5))
 
 
 class Speckle(StrEnum):
@@ -80,39 +83,31 @@ class SpeckleField:
     The field of a cell is complex Gaussian.  It keeps a correlation of
     ``exp(-(d / d0)^2 - (a / a0)^2)`` when the sonar moves by d and turns by a, with d0 half the
     length of the aperture that the beamwidth implies and a0 half the beamwidth: a sonar at rest
-    sees the same speckle again.
+    sees the same speckle again.  With K speckle a cell has a texture too, which it keeps with that
+    probability, squared.
+
+    Attributes:
+        pose: Of the last ping.
+        amplitude: (2, beams, bins) float32, the field's real and imaginary part.
+        texture: (beams, bins) float32.
     """
 
     pose: Pose | None = None
-    amplitude: Complex64 = field(default_factory=lambda: np.empty((0, 0), np.complex64))
-    texture: Float32 = field(default_factory=lambda: np.empty((0, 0), np.float32))
+    amplitude: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
+    texture: Float32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def move(
-        self,
-        shape: tuple[int, int],
-        pose: Pose,
-        beam_rad: float,
-        wavelength_m: float,
-        k_shape: float | None,
-        rng: np.random.Generator,
-    ) -> Float32:
-        """Intensity (bins, beams) with mean 1 that multiplies the echoes of a ping at a pose."""
+        self, shape: tuple[int, int], pose: Pose, beam_rad: float, wavelength_m: float
+    ) -> float:
+        """Go on to the pose of the next ping, of (beams, bins); how much the field keeps."""
         kept = 0.0
-        if self.pose is not None and self.amplitude.shape == shape:
+        if self.pose is not None and self.texture.shape == shape:
             kept = _correlation(self.pose, pose, beam_rad, wavelength_m)
-        if kept == 0.0:
-            self.amplitude = np.zeros(shape, np.complex64)
-            self.texture = np.ones(shape, np.float32)
-        if kept < 1.0:
-            fresh = complex_noise(shape, rng) * np.float32(math.sqrt(1.0 - kept * kept))
-            self.amplitude = self.amplitude * np.float32(kept) + fresh
-        if k_shape is not None and kept < 1.0:
-            new = rng.random(shape, np.float32) >= kept * kept if kept else np.ones(shape, bool)
-            drawn = rng.standard_gamma(k_shape, int(new.sum()), np.float32)
-            self.texture[new] = drawn / np.float32(k_shape)
+        if self.texture.shape != shape:
+            self.amplitude = np.zeros((2, *shape), np.float32)
+            self.texture = np.zeros(shape, np.float32)
         self.pose = pose
-        power = self.amplitude.real**2 + self.amplitude.imag**2
-        return (power * self.texture if k_shape is not None else power).astype(np.float32)
+        return kept
 
 
 def _correlation(before: Pose, now: Pose, beam_rad: float, wavelength_m: float) -> float:
@@ -124,12 +119,6 @@ def _correlation(before: Pose, now: Pose, beam_rad: float, wavelength_m: float) 
         return 1.0
     far = (2.0 * moved_m / aperture_m) ** 2 + (2.0 * turned_rad / beam_rad) ** 2
     return math.exp(-far) if far < 30.0 else 0.0
-
-
-def complex_noise(shape: tuple[int, int], rng: np.random.Generator) -> Complex64:
-    """Complex Gaussian noise of mean power 1."""
-    parts = rng.standard_normal((*shape, 2), dtype=np.float32) * np.float32(math.sqrt(0.5))
-    return parts.view(np.complex64)[..., 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +139,56 @@ class Receiver:
         """Its beams' width; as wide as they are apart where the device does not say."""
         return math.radians(self.device.beamwidth_deg) or geometry.beam_rad
 
-    def move(
-        self, speckle: SpeckleField, geometry: FanGeometry, pose: Pose, rng: np.random.Generator
+    def hear(
+        self, power: Float32, geometry: FanGeometry, speckle: SpeckleField, pose: Pose, key: int
     ) -> Float32:
-        """The speckle of the next ping (`SpeckleField.move`): the first that is drawn for it."""
-        k_shape = self.settings.k_shape if self.settings.speckle is Speckle.K else None
+        """Power with speckle and noise as it is shown, (beams, bins) in [0, 1].
+
+        Args:
+            power: (beams, bins) float32, re 1 uPa^2; it is not changed.
+            geometry: Of the sonar.
+            speckle: The sonar's speckle; it moves on to this ping.
+            pose: Where the sonar is.
+            key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
+        """
+        settings = self.settings
         wavelength_m = self.water.sound_speed_mps / (1000.0 * self.device.frequency_khz)
-        shape = (geometry.bins, geometry.beams)
-        return speckle.move(shape, pose, self.beam_rad(geometry), wavelength_m, k_shape, rng)
+        kept = speckle.move(power.shape, pose, self.beam_rad(geometry), wavelength_m)
+        k_speckle = settings.speckle is Speckle.K
+        noise = (
+            10.0 ** (settings.noise_level_db / 20.0) if settings.noise_level_db > -100.0 else 0.0
+        )
+        image = np.empty_like(power)
+        _hear(
+            power, self._gain_db(geometry), speckle.amplitude, speckle.texture, kept,
+            settings.speckle is not Speckle.NONE, k_speckle,
+            gamma_table(settings.k_shape if k_speckle else 1.0), normal_table(), noise,
+            np.uint64(key), settings.display_range_db, image,
+        )  # fmt: skip
+        return image
+
+    def level(self, geometry: FanGeometry) -> Float32:
+        """Power of an echo of strength 1 in each bin, (bins,), re 1 uPa^2."""
+        range_m, alpha = self._ranges_m(geometry), self._absorption_db_per_m
+        level_db = self.settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m
+        solid_angle = geometry.beam_rad * geometry.elevation_fov_rad
+        level: Float32 = (10.0 ** (level_db / 10.0) * solid_angle).astype(np.float32)
+        return level
+
+    def _gain_db(self, geometry: FanGeometry) -> Float32:
+        """What is added to levels in each bin before they are shown from 0, (bins,)."""
+        range_m = self._ranges_m(geometry)
+        gain_db = self.settings.tvg_spreading * np.log10(range_m) - self.settings.display_floor_db
+        if self.settings.tvg_absorption:
+            gain_db = gain_db + 2.0 * self._absorption_db_per_m * range_m
+        return gain_db.astype(np.float32)
+
+    @property
+    def _absorption_db_per_m(self) -> float:
+        return self.water.absorption_db_per_m(self.device.frequency_khz)
+
+    def _ranges_m(self, geometry: FanGeometry) -> Float64:
+        return np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)
 
 
 def form_physical(
@@ -166,7 +197,7 @@ def form_physical(
     receiver: Receiver,
     speckle: SpeckleField,
     pose: Pose,
-    rng: np.random.Generator,
+    key: int,
 ) -> Float32:
     """The image of an echo histogram rendered with Lambert's law, (bins, beams) in [0, 1].
 
@@ -176,30 +207,83 @@ def form_physical(
         receiver: What hears them.
         speckle: The sonar's speckle; it moves on to this ping.
         pose: Where the sonar is.
-        rng: Where noise comes from.
+        key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
     """
-    device, settings, water = receiver.device, receiver.settings, receiver.water
-    range_m = np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)[:, None]
-    alpha = water.absorption_db_per_m(device.frequency_khz)
-    level_db = settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m
-    solid_angle = geometry.beam_rad * geometry.elevation_fov_rad
-    power = (10.0 ** (level_db / 10.0) * solid_angle).astype(np.float32) * echoes.echo
+    settings = receiver.settings
+    power = echoes.echo.T * receiver.level(geometry)
     if settings.side_lobes and geometry.beams > 1:
         beam_rad = receiver.beam_rad(geometry)
-        power = power @ _leakage(geometry.beams, geometry.beam_rad, beam_rad, settings.taper)
-    if settings.speckle is not Speckle.NONE:
-        power = power * receiver.move(speckle, geometry, pose, rng)
-    if settings.noise_level_db > -100.0:
-        noise = np.float32(10.0 ** (settings.noise_level_db / 20.0))
-        heard = np.sqrt(power) + noise * complex_noise(power.shape, rng)
-        power = heard.real**2 + heard.imag**2
-    gain_db = settings.tvg_spreading * np.log10(range_m)
-    if settings.tvg_absorption:
-        gain_db = gain_db + 2.0 * alpha * range_m
-    with np.errstate(divide="ignore"):
-        shown_db = 10.0 * np.log10(power) + (gain_db - settings.display_floor_db).astype(np.float32)
-    image: Float32 = np.clip(shown_db / np.float32(settings.display_range_db), 0.0, 1.0)
-    return image.astype(np.float32)
+        power = _leakage(geometry.beams, geometry.beam_rad, beam_rad, settings.taper).T @ power
+    return receiver.hear(np.ascontiguousarray(power), geometry, speckle, pose, key).T
+
+
+@kernel
+def _decibels(power: Float32) -> None:
+    """Turn powers into dB where they are, to 1e-4 dB; 0 becomes -382, below all that is shown.
+
+    Of a mantissa m in [1, 2), with s = (m - 1.5) / (m + 1.5), the logarithm is
+    log 1.5 + 2 (s + s^3 / 3 + s^5 / 5 + ...); no call, so that LLVM vectorises it.
+    """
+    bits = power.view(np.int32)
+    mantissa_bits = (bits & np.int32(0x7FFFFF)) | np.int32(0x3F800000)
+    mantissa = mantissa_bits.view(np.float32)
+    for k in range(len(power)):
+        exponent = np.float32((bits[k] >> np.int32(23)) - np.int32(127))
+        s = (mantissa[k] - np.float32(1.5)) / (mantissa[k] + np.float32(1.5))
+        q = s * s
+        series = np.float32(1 / 11) + q * np.float32(1 / 13)
+        series = np.float32(1 / 7) + q * (np.float32(1 / 9) + q * series)
+        series = np.float32(1 / 3) + q * (np.float32(1 / 5) + q * series)
+        natural = np.float32(2.0) * s * (np.float32(1.0) + q * series)
+        power[k] = exponent * _DB_PER_OCTAVE + (natural * _DB_PER_NEPER + _DB_OF_MIDDLE)
+
+
+@parallel_kernel
+def _hear(
+    power: Float32,
+    gain_db: Float32,
+    amplitude: Float32,
+    texture: Float32,
+    kept: float,
+    speckled: bool,
+    textured: bool,
+    gamma: Float32,
+    normal: Float32,
+    noise: float,
+    key: np.uint64,
+    shown_db: float,
+    image: Float32,
+) -> None:
+    """Move the speckle on, hear (beams, bins) through it and the noise, and show it in dB."""
+    half = np.float32(math.sqrt(0.5))
+    old, new = np.float32(kept), half * np.float32(math.sqrt(1.0 - kept * kept))
+    noise_rms, per_db = half * np.float32(noise), np.float32(1.0 / shown_db)
+    beams, bins = power.shape
+    for beam in prange(beams):
+        drawn, more = np.empty((4, bins), np.uint32), np.empty((4, bins), np.uint32)
+        draw_row(key, beam, 0, drawn)
+        heard = power[beam].copy()
+        if speckled:
+            for cell in range(bins):
+                real = old * amplitude[0, beam, cell] + new * variate(normal, drawn[0, cell])
+                imaginary = old * amplitude[1, beam, cell] + new * variate(normal, drawn[1, cell])
+                amplitude[0, beam, cell], amplitude[1, beam, cell] = real, imaginary
+                heard[cell] *= real * real + imaginary * imaginary
+        if textured:
+            draw_row(key, beam, 1, more)
+            for cell in range(bins):
+                if more[0, cell] * 2.0**-32 >= kept * kept:
+                    texture[beam, cell] = variate(gamma, more[1, cell])
+                heard[cell] *= texture[beam, cell]
+        if noise_rms > 0.0:
+            for cell in range(bins):
+                real = np.sqrt(heard[cell]) + noise_rms * variate(normal, drawn[2, cell])
+                imaginary = noise_rms * variate(normal, drawn[3, cell])
+                heard[cell] = real * real + imaginary * imaginary
+        _decibels(heard)
+        for cell in range(bins):
+            shown = (heard[cell] + gain_db[cell]) * per_db
+            image[beam, cell] = min(max(shown, np.float32(0.0)), np.float32(1.0))
 
 
 def array_pattern(angle_rad: Float64, beam_rad: float, taper: float) -> Float64:
