@@ -71,7 +71,8 @@ def _drawn(table: Float32, key: int) -> Float64:
     words = np.empty((4, BEAMS, PAIRS), np.uint32)
     for beam in range(BEAMS):
         draw_row(np.uint64(key), beam, 0, words[:, beam])
-    return _variates(table, words.ravel()).reshape(words.shape)
+    found: Float64 = _variates(table, words.ravel())
+    return found.reshape(words.shape)
 
 
 @numba.njit
