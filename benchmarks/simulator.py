@@ -37,8 +37,9 @@ from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image, normalise_energy
 from insonify.sonar.histogram import Renderer
 from insonify.sonar.patches import even_grid
-from insonify.sonar.physical import PhysicalSettings, Receiver, SpeckleField, form_physical
+from insonify.sonar.physical import PhysicalSettings, Receiver, form_physical
 from insonify.sonar.sampling import SamplingSettings, even_samples
+from insonify.sonar.speckle import SpeckleField
 from insonify.types import Float32, Pose
 
 FRAMES = 500

@@ -11,6 +11,7 @@ import trimesh
 from insonify.config.layers import parse_setting, read_layer
 from insonify.config.toml import config_to_toml
 from insonify.errors import ConfigError, InsonifyError, MeshError
+from insonify.mission.run import execute
 from insonify.mission.setup import Config, World, scenario_config, scenarios
 from insonify.planning.baselines import FixedPlan
 from insonify.planning.factory import PLANNERS
@@ -168,3 +169,27 @@ def test_the_seabed_lies_around_the_object_and_altitude_is_above_it(tmp_path: Pa
     raster = {"raster": str(tmp_path / "deep.npy"), "depth_m": 0.0, "cell_m": 0.5}
     deep = World(scenario_config("tetrapod", [{"seabed": raster}]))
     assert deep.area.z_m == pytest.approx(-25.0)
+
+
+def test_by_the_sonar_equation_echoes_begin_above_the_noise() -> None:
+    """Of a sonar in empty water hardly a pixel is an echo; what is set stays."""
+    physical = {"model": "physical", "sonar": {"preset": "gemini-720im"}}
+    config = scenario_config("tetrapod", [physical])
+    ambient = config.build(config.sonar).ambient()
+    lit = (ambient > config.mapping.pixel_threshold / 255.0).mean()
+    assert lit < 1e-4 and config.mapping.pixel_threshold < 200
+    assert (ambient > 0.6 * config.mapping.pixel_threshold / 255.0).mean() > 1e-3
+    set_ = scenario_config("tetrapod", [physical, {"mapping": {"pixel_threshold": 90}}])
+    assert set_.mapping.pixel_threshold == 90
+    assert scenario_config("tetrapod").mapping.pixel_threshold == 76
+
+
+@pytest.mark.slow
+def test_a_scan_by_the_sonar_equation_maps_as_well() -> None:
+    small = {"mapping": {"voxel_m": 0.2}, "survey": {"baseline_scans": 2}, "planner": "uniform"}
+    found = {
+        model: execute(scenario_config("tetrapod", [small, {"model": model}])).history[-1].metrics
+        for model in ("cerqueira", "physical")
+    }
+    f1 = {model: metrics["solid"]["exact"]["f1"] for model, metrics in found.items()}
+    assert f1["physical"] > f1["cerqueira"] - 0.05

@@ -149,7 +149,7 @@ def test_side_scan_hears_the_seabed_from_below_outwards_on_both_sides() -> None:
     empty, beside = line(30.0), line(0.0)
     np.testing.assert_allclose(empty[:bins][::-1], empty[bins:], atol=0.05)
     first = np.flatnonzero(empty[bins:] > 0.01)[0] * bin_m
-    assert first == pytest.approx(10.0 / math.sin(math.radians(60.0)), abs=0.3)
+    assert first == pytest.approx(10.0 / math.sin(math.radians(45.0)), abs=0.3)
     port, starboard = beside[:bins][::-1], beside[bins:]
     shadow = slice(int(23.5 / bin_m), int(25.5 / bin_m))  # behind the rock's far top edge
     assert port[shadow].max() == 0.0 and starboard[shadow].min() > 0.0

@@ -17,6 +17,7 @@ from insonify.cli.root import (
     ForceOption,
     JsonOption,
     MapperOption,
+    ModelOption,
     OutOption,
     PlannerOption,
     RendererOption,
@@ -60,6 +61,7 @@ def scan(
     ] = None,
     sonar: Annotated[str | None, typer.Option(help="Scan with this device; see: sonars")] = None,
     renderer: RendererOption = None,
+    model: ModelOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the seabed and the noise.")] = None,
     vehicle: VehicleOption = None,
     current: CurrentOption = None,
@@ -81,6 +83,7 @@ def scan(
         seed=seed,
         sonar=absolute(sonar),
         renderer=renderer,
+        model=model,
         object=_mesh_table(object_),
         vehicle=vehicle_table(vehicle, current, navigation),
     )

@@ -26,6 +26,20 @@ def noise_threshold(images: Sequence[Float32]) -> float:
     """
     loud = np.quantile(np.concatenate(images, axis=1), 0.9, axis=1)
     quiet = np.argsort(loud, kind="stable")[: max(1, round(_QUIET * len(loud)))]
-    noise = np.concatenate([image[quiet].ravel() for image in images])
+    return _above(np.concatenate([image[quiet].ravel() for image in images]))
+
+
+def ambient_threshold(image: Float32) -> float:
+    """The pixel value, of 1, that noise does not reach where it is loudest.
+
+    Args:
+        image: (bins, beams) of a sonar in empty water.
+    """
+    loud = np.quantile(image, 0.9, axis=1)
+    loudest = np.argsort(loud, kind="stable")[-max(1, round(_QUIET * len(loud))) :]
+    return _above(image[loudest].ravel())
+
+
+def _above(noise: Float32) -> float:
     middle, most = (float(value) for value in np.quantile(noise, [0.5, 0.9]))
     return min(1.0, max(_LEAST, middle + _SPREADS * (most - middle)))

@@ -50,7 +50,10 @@ class MappingSettings(Settings):
 
     voxel_m: float = Field(0.1, ge=LEAST_VOXEL_M, le=100, description="edge length of a voxel")
     pixel_threshold: int = Field(
-        76, ge=0, le=254, description="of 255; brighter pixels are echoes (Table 1)"
+        76,
+        ge=0,
+        le=254,
+        description="of 255; brighter pixels are echoes (Table 1); physical: noise says",
     )
     bayes: BayesSettings = BayesSettings()
     carving: CarvingSettings = CarvingSettings()

@@ -13,6 +13,7 @@ from insonify.config.layers import named_tables, overlaid
 from insonify.config.settings import Settings, Table, did_you_mean, validated
 from insonify.errors import ConfigError, MeshError
 from insonify.imaging.settings import Imaging
+from insonify.mapping.echoes import ambient_threshold
 from insonify.mapping.factory import MAPPER_PARTS, MAPPERS, check_mapper, make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings
 from insonify.planning.active import EntropySettings
@@ -24,6 +25,7 @@ from insonify.plugins import check_object, name_of
 from insonify.scene import Scene
 from insonify.scene.placing import FieldSettings, ObjectSettings
 from insonify.scene.staged import SeabedSettings, Stage
+from insonify.sonar import Sonar
 from insonify.sonar.devices import Kind, SonarDevice, resolved_device
 from insonify.sonar.sampling import even_samples
 from insonify.types import Box
@@ -108,6 +110,17 @@ class Config(Imaging):
             for one in table["objects"]
         ]
         return table | {"objects": objects}
+
+    @model_validator(mode="after")
+    def _echoes_are_above_the_noise(self) -> Self:
+        """By the sonar equation the threshold follows from the noise, unless it is set."""
+        if self.model == "physical" and "pixel_threshold" not in self.mapping.model_fields_set:
+            sonar = Sonar(self.sonar, physical=self.physical, water=self.water)
+            told = {
+                "pixel_threshold": min(254, math.ceil(255 * ambient_threshold(sonar.ambient())))
+            }
+            object.__setattr__(self, "mapping", self.mapping.model_copy(update=told))
+        return self
 
 
 @cache

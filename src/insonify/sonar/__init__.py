@@ -12,13 +12,14 @@ from insonify.sonar.devices import SonarDevice
 from insonify.sonar.draws import drawn_key
 from insonify.sonar.embree import EmbreeRenderer
 from insonify.sonar.formation import ImageSettings, form_image
-from insonify.sonar.histogram import Law, Renderer, Response
+from insonify.sonar.histogram import EchoHistogram, Law, Renderer, Response
 from insonify.sonar.opengl import OpenGLRenderer
-from insonify.sonar.physical import PhysicalSettings, Receiver, Speckle, SpeckleField, form_physical
+from insonify.sonar.physical import PhysicalSettings, Receiver, Speckle, form_physical
 from insonify.sonar.sampling import SamplingSettings
+from insonify.sonar.speckle import SpeckleField
 from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
-from insonify.types import Ping, Pose
+from insonify.types import FanGeometry, Float32, Ping, Pose
 
 
 class RendererName(StrEnum):
@@ -85,21 +86,24 @@ class Sonar:
         key = drawn_key(rng or np.random.default_rng(0))
         geometry = self.device.geometry_at(head_rad)
         echoes = self._renderer.render(scene, geometry, pose, self.response)
-        if self.physical is None:
-            image = form_image(echoes, self.image, key)
-        else:
-            receiver = Receiver(self.device, self.physical, self.water)
-            image = form_physical(echoes, geometry, receiver, self.speckle, pose, key)
-        return Ping(image, geometry, time_s, head_rad)
+        return Ping(self._form(echoes, geometry, pose, key), geometry, time_s, head_rad)
 
     def skip(self, pose: Pose, rng: np.random.Generator) -> None:
         """Let its state and ``rng`` move on as if it had pinged from a pose."""
         key = drawn_key(rng)
         if self.physical is not None and self.physical.speckle is not Speckle.NONE:
-            geometry = self.device.geometry_at(0.0)
-            silence = np.zeros((geometry.beams, geometry.bins), np.float32)
-            receiver = Receiver(self.device, self.physical, self.water)
-            receiver.hear(silence, geometry, self.speckle, pose, key)
+            self._form(_nothing(self.device), self.device.geometry, pose, key)
+
+    def ambient(self) -> Float32:
+        """What it shows where there is nothing but water, (bins, beams): noise, and the water."""
+        alone = replace(self, speckle=SpeckleField())
+        return alone._form(_nothing(self.device), self.device.geometry, Pose(0.0, 0.0, 0.0), 0)
+
+    def _form(self, echoes: EchoHistogram, geometry: FanGeometry, pose: Pose, key: int) -> Float32:
+        if self.physical is None:
+            return form_image(echoes, self.image, key)
+        receiver = Receiver(self.device, self.physical, self.water)
+        return form_physical(echoes, geometry, receiver, self.speckle, pose, key)
 
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""
@@ -123,3 +127,8 @@ class Sonar:
     @property
     def _renderer(self) -> Renderer:
         return self.renderer or EmbreeRenderer(self.sampling)
+
+
+def _nothing(device: SonarDevice) -> EchoHistogram:
+    nothing = np.zeros((device.bins, device.beams), np.float32)
+    return EchoHistogram(nothing, nothing)

@@ -55,6 +55,18 @@ class SonarDevice(Settings):
     beamwidth_deg: float = Field(
         0.0, ge=0, le=90, description="-3 dB width of a receive beam; 0: the beams' spacing"
     )
+    range_resolution_m: float = Field(
+        0.0, ge=0, le=10, description="length of a pulse in range; 0: a bin (physical model)"
+    )
+    reach_m: float = Field(
+        0.0, ge=0, le=10000, description="where echoes sink into noise; 0: range_max_m (physical)"
+    )
+    headroom_db: float = Field(
+        30.0, ge=0, le=200, description="from sand at 70 % of the reach to full scale (physical)"
+    )
+    display_gamma: float = Field(
+        0.4, gt=0, le=1, description="the power of pressure that is shown (physical)"
+    )
     tilt_deg: float = Field(30.0, ge=-90, le=90, description="mounted looking down by this angle")
     mount_m: tuple[float, float, float] = Field(
         (0.0, 0.0, 0.0), description="mounted so far forward, to port and up on the vehicle"
@@ -147,6 +159,8 @@ def resolved_device(told: Any, tilt_deg: float = 0.0) -> Any:
     own = dict(told)
     preset = own.pop("preset", None)
     below: Table = {} if preset is None else _preset_table(str(preset))
+    if "range_max_m" in below:  # it reaches as far, whatever range is set
+        below = {"reach_m": below["range_max_m"]} | below
     return {"tilt_deg": tilt_deg} | below | own
 
 

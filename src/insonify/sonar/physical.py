@@ -6,32 +6,40 @@ with Lambert's coefficient mu, seen at an angle of incidence a over a solid angl
 
     RL = SL - 2 TL + 10 log10(r^2 sum(mu cos a dW)),  TL = 20 log10 r + alpha r
 
-(Urick, Principles of Underwater Sound, 1983, chapters 2 and 8).
+(Urick, Principles of Underwater Sound, 1983, chapters 2 and 8).  The pressure of a cell is a
+complex number: of the scatterers in it, on surfaces and in the water, times speckle, and of the
+receiver's noise.  A beam hears in a bin the sum of its neighbours' pressures, weighted by the
+array's pattern and the pulse's shape: a bright target streaks, and speckle is as large as a
+resolution cell.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from pydantic import Field
 
 from insonify.config.settings import Settings
-from insonify.frames import transform_from_pose
 from insonify.jit import kernel, parallel_kernel, prange
+from insonify.scene.materials import material_named
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.draws import draw_row, gamma_table, normal_table, variate
 from insonify.sonar.histogram import EchoHistogram
+from insonify.sonar.pattern import leakage
+from insonify.sonar.speckle import SpeckleField
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Float64, Pose
 
-_DB_PER_OCTAVE = np.float32(10.0 * math.log10(2.0))
-_DB_PER_NEPER = np.float32(10.0 / math.log(10.0))
-_DB_OF_MIDDLE = np.float32(10.0 * math.log10(1.5))
+_OCTAVE_DB = np.float32(10.0 * math.log10(2.0))
+_NEPER_DB = np.float32(10.0 / math.log(10.0))
+_MIDDLE_DB = np.float32(10.0 * math.log10(1.5))
+_LN2 = np.float32(math.log(2.0))
+
+FAR, HIGH, SAND = 0.7, 0.1, "sand"
+"""A receiver is told by what it hears of sand at this share of its reach, from this share above."""
 
 
 class Speckle(StrEnum):
@@ -45,13 +53,18 @@ class Speckle(StrEnum):
 class PhysicalSettings(Settings):
     """The stages of the physical model.
 
-    No maker publishes source levels of the devices here; the defaults give an imaging sonar whose
-    seabed echoes drown in noise at some 100 m at 720 kHz.
+    No maker publishes source levels or noise.  They say how far a device reaches, so its noise is
+    taken to be ``snr_db`` below the echo of level sand at 70 % of its reach, seen from a tenth of
+    its reach above.
     """
 
     source_level_db: float = Field(200.0, ge=0, le=260, description="SL, dB re 1 uPa at 1 m")
-    noise_level_db: float = Field(
-        60.0, ge=-100, le=200, description="receiver noise in a bin, dB re 1 uPa; -100: none"
+    noise: bool = Field(True, description="receiver noise, up to which the gain is raised")
+    snr_db: float = Field(
+        10.0, ge=-40, le=100, description="of sand at 70 % of the reach, over receiver noise"
+    )
+    volume_db: float = Field(
+        -70.0, ge=-200, le=0, description="of the water at 1 MHz, dB re 1/m; as f^4; -200: none"
     )
     edge_db: float = Field(
         3.0, ge=0, le=40, description="one-way loss at the beam's upper and lower edge"
@@ -59,66 +72,21 @@ class PhysicalSettings(Settings):
     taper: float = Field(
         0.85, ge=0, le=1, description="of the array: 0 uniform, side lobes -13 dB; 0.85 Hamming"
     )
-    side_lobes: bool = Field(True, description="echoes leak into other beams")
+    side_lobes: bool = Field(True, description="beams hear echoes beside their own")
+    pulse: bool = Field(True, description="echoes spread over the device's range resolution")
+    ripple_db: float = Field(0.0, ge=0, le=20, description="how unlike the beams' gains are (rms)")
     speckle: Speckle = Field(Speckle.RAYLEIGH, description="rayleigh, k or none")
     k_shape: float = Field(2.0, gt=0, le=1000, description="nu of the K distribution's texture")
     tvg_spreading: float = Field(
         30.0, ge=0, le=80, description="time-varying gain of so much log10 r, dB"
     )
-    tvg_absorption: bool = Field(True, description="and of 2 alpha r")
+    tvg_absorption: bool = Field(True, description="and of 2 alpha r; both to 70 % of the reach")
     second_bounce: bool = Field(
         False, description="echoes by way of a second surface, which mirrors (Embree only)"
     )
     surface_mirror: bool = Field(
         False, description="echoes by way of the water's surface at z = 0 (Embree only)"
     )
-    display_floor_db: float = Field(115.0, ge=-200, le=300, description="level that is shown as 0")
-    display_range_db: float = Field(60.0, gt=0, le=300, description="from there to 1")
-
-
-@dataclass(slots=True)
-class SpeckleField:
-    """Speckle of one sonar, which changes as it moves.
-
-    The field of a cell is complex Gaussian.  It keeps a correlation of
-    ``exp(-(d / d0)^2 - (a / a0)^2)`` when the sonar moves by d and turns by a, with d0 half the
-    length of the aperture that the beamwidth implies and a0 half the beamwidth: a sonar at rest
-    sees the same speckle again.  With K speckle a cell has a texture too, which it keeps with that
-    probability, squared.
-
-    Attributes:
-        pose: Of the last ping.
-        amplitude: (2, beams, bins) float32, the field's real and imaginary part.
-        texture: (beams, bins) float32.
-    """
-
-    pose: Pose | None = None
-    amplitude: Float32 = field(default_factory=lambda: np.zeros((2, 0, 0), np.float32))
-    texture: Float32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
-
-    def move(
-        self, shape: tuple[int, int], pose: Pose, beam_rad: float, wavelength_m: float
-    ) -> float:
-        """Go on to the pose of the next ping, of (beams, bins); how much the field keeps."""
-        kept = 0.0
-        if self.pose is not None and self.texture.shape == shape:
-            kept = _correlation(self.pose, pose, beam_rad, wavelength_m)
-        if self.texture.shape != shape:
-            self.amplitude = np.zeros((2, *shape), np.float32)
-            self.texture = np.zeros(shape, np.float32)
-        self.pose = pose
-        return kept
-
-
-def _correlation(before: Pose, now: Pose, beam_rad: float, wavelength_m: float) -> float:
-    moved_m = math.dist(before.position_m, now.position_m)
-    turned = transform_from_pose(before)[:3, :3].T @ transform_from_pose(now)[:3, :3]
-    turned_rad = math.acos(min(1.0, max(-1.0, (float(np.trace(turned)) - 1.0) / 2.0)))
-    aperture_m = 0.886 * wavelength_m / beam_rad
-    if moved_m == 0.0 and turned_rad < 1e-7:
-        return 1.0
-    far = (2.0 * moved_m / aperture_m) ** 2 + (2.0 * turned_rad / beam_rad) ** 2
-    return math.exp(-far) if far < 30.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +94,7 @@ class Receiver:
     """What the sonar equation needs to know.
 
     Attributes:
-        device: The sonar: its frequency and beamwidth.
+        device: The sonar: its frequency, beamwidth, resolution, reach and display.
         settings: Which stages, how strong.
         water: Absorption and speed of sound.
     """
@@ -139,56 +107,79 @@ class Receiver:
         """Its beams' width; as wide as they are apart where the device does not say."""
         return math.radians(self.device.beamwidth_deg) or geometry.beam_rad
 
-    def hear(
-        self, power: Float32, geometry: FanGeometry, speckle: SpeckleField, pose: Pose, key: int
-    ) -> Float32:
-        """Power with speckle and noise as it is shown, (beams, bins) in [0, 1].
+    @property
+    def far_m(self) -> float:
+        """Where sand is ``snr_db`` over noise, and the gain stops to rise."""
+        return FAR * (self.device.reach_m or self.device.range_max_m)
 
-        Args:
-            power: (beams, bins) float32, re 1 uPa^2; it is not changed.
-            geometry: Of the sonar.
-            speckle: The sonar's speckle; it moves on to this ping.
-            pose: Where the sonar is.
-            key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
-        """
-        settings = self.settings
-        wavelength_m = self.water.sound_speed_mps / (1000.0 * self.device.frequency_khz)
-        kept = speckle.move(power.shape, pose, self.beam_rad(geometry), wavelength_m)
-        k_speckle = settings.speckle is Speckle.K
-        noise = (
-            10.0 ** (settings.noise_level_db / 20.0) if settings.noise_level_db > -100.0 else 0.0
-        )
-        image = np.empty_like(power)
-        _hear(
-            power, self._gain_db(geometry), speckle.amplitude, speckle.texture, kept,
-            settings.speckle is not Speckle.NONE, k_speckle,
-            gamma_table(settings.k_shape if k_speckle else 1.0), normal_table(), noise,
-            np.uint64(key), settings.display_range_db, image,
-        )  # fmt: skip
-        return image
+    @property
+    def volume(self) -> float:
+        """Backscatter of the water, per m: of particles smaller than the wavelength (Rayleigh)."""
+        if self.settings.volume_db <= -200.0:
+            return 0.0
+        megahertz = self.device.frequency_khz / 1000.0
+        return float(10.0 ** (self.settings.volume_db / 10.0) * megahertz**4)
 
     def level(self, geometry: FanGeometry) -> Float32:
         """Power of an echo of strength 1 in each bin, (bins,), re 1 uPa^2."""
-        range_m, alpha = self._ranges_m(geometry), self._absorption_db_per_m
-        level_db = self.settings.source_level_db - 20.0 * np.log10(range_m) - 2.0 * alpha * range_m
+        range_m = np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)
         solid_angle = geometry.beam_rad * geometry.elevation_fov_rad
-        level: Float32 = (10.0 ** (level_db / 10.0) * solid_angle).astype(np.float32)
-        return level
+        level = 10.0 ** (self._lost_db(range_m, self.water) / 10.0) * solid_angle
+        return level.astype(np.float32)
 
-    def _gain_db(self, geometry: FanGeometry) -> Float32:
-        """What is added to levels in each bin before they are shown from 0, (bins,)."""
-        range_m = self._ranges_m(geometry)
-        gain_db = self.settings.tvg_spreading * np.log10(range_m) - self.settings.display_floor_db
+    def sand_db(self, geometry: FanGeometry) -> float:
+        """Level of level sand at `far_m`, in the water that settings have by default."""
+        far_m, height_m = self.far_m, HIGH / FAR * self.far_m
+        grazing = height_m / far_m
+        elevation_rad = height_m * geometry.bin_m / far_m**2
+        sand = material_named(SAND)
+        assert sand is not None
+        mu = 10.0 ** (sand.lambert_db / 10.0)
+        echo = mu * grazing * elevation_rad * geometry.beam_rad
+        lost_db = self._lost_db(np.array([far_m]), WaterSettings())[0]
+        return float(lost_db + 10.0 * math.log10(echo))
+
+    def noise_db(self, geometry: FanGeometry) -> float:
+        """Level of the receiver's noise, dB re 1 uPa."""
+        return self.sand_db(geometry) - self.settings.snr_db
+
+    def gain_db(self, geometry: FanGeometry) -> Float32:
+        """Time-varying gain in each bin, (bins,)."""
+        return self._gain_db(np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2))
+
+    def full_db(self, geometry: FanGeometry) -> float:
+        """Level that is shown as 1, after the gain."""
+        return (
+            self.sand_db(geometry)
+            + float(self._gain_db(np.array([self.far_m]))[0])
+            + self.device.headroom_db
+        )
+
+    def pulse_taps(self, geometry: FanGeometry) -> Float32:
+        """The pulse's pressure by bins around its middle, an odd number, squares adding up to 1.
+
+        It is Gaussian, half its power where the range resolution ends.
+        """
+        if not self.settings.pulse:
+            return np.ones(1, np.float32)
+        width = max(self.device.range_resolution_m / geometry.bin_m, 1.0)
+        reach = math.ceil(1.5 * width)
+        taps = np.exp2(-2.0 * (np.arange(-reach, reach + 1) / width) ** 2)
+        return (taps / math.sqrt(float((taps**2).sum()))).astype(np.float32)
+
+    def _lost_db(self, range_m: Float64, water: WaterSettings) -> Float64:
+        """Source level less spreading and absorption, both ways, of a solid angle's echo."""
+        alpha = water.absorption_db_per_m(self.device.frequency_khz)
+        lost: Float64 = 20.0 * np.log10(range_m) + 2.0 * alpha * range_m
+        return self.settings.source_level_db - lost
+
+    def _gain_db(self, range_m: Float64) -> Float32:
+        range_m = np.minimum(range_m, self.far_m)
+        gain_db = self.settings.tvg_spreading * np.log10(range_m)
         if self.settings.tvg_absorption:
-            gain_db = gain_db + 2.0 * self._absorption_db_per_m * range_m
+            alpha = self.water.absorption_db_per_m(self.device.frequency_khz)
+            gain_db = gain_db + 2.0 * alpha * range_m
         return gain_db.astype(np.float32)
-
-    @property
-    def _absorption_db_per_m(self) -> float:
-        return self.water.absorption_db_per_m(self.device.frequency_khz)
-
-    def _ranges_m(self, geometry: FanGeometry) -> Float64:
-        return np.maximum(geometry.bin_ranges_m, geometry.bin_m / 2)
 
 
 def form_physical(
@@ -210,11 +201,137 @@ def form_physical(
         key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
     """
     settings = receiver.settings
-    power = echoes.echo.T * receiver.level(geometry)
-    if settings.side_lobes and geometry.beams > 1:
-        beam_rad = receiver.beam_rad(geometry)
-        power = _leakage(geometry.beams, geometry.beam_rad, beam_rad, settings.taper).T @ power
-    return receiver.hear(np.ascontiguousarray(power), geometry, speckle, pose, key).T
+    beams, bins = geometry.beams, geometry.bins
+    beam_rad = receiver.beam_rad(geometry)
+    wavelength_m = receiver.water.sound_speed_mps / (1000.0 * receiver.device.frequency_khz)
+    kept = speckle.move((beams, bins), pose, beam_rad, wavelength_m)
+    power = _scattered(
+        np.ascontiguousarray(echoes.echo.T), np.ascontiguousarray(echoes.coverage.T),
+        receiver.level(geometry), receiver.volume * geometry.bin_m,
+    )  # fmt: skip
+    noise = 10.0 ** (receiver.noise_db(geometry) / 20.0) if settings.noise else 0.0
+    k_speckle = settings.speckle is Speckle.K
+    pressure = np.empty((beams, 2, bins), np.float32)
+    _pressure(
+        power, speckle.amplitude, speckle.texture, kept,
+        settings.speckle is not Speckle.NONE, k_speckle,
+        gamma_table(settings.k_shape if k_speckle else 1.0), normal_table(), noise,
+        np.uint64(key), pressure,
+    )  # fmt: skip
+    steady = power if settings.speckle is Speckle.NONE else np.zeros((beams, 0), np.float32)
+    if settings.side_lobes and beams > 1:
+        heard = leakage(beams, geometry.beam_rad, beam_rad, settings.taper)
+        pressure = (heard @ pressure.reshape(beams, 2 * bins)).reshape(beams, 2, bins)
+        steady = heard**2 @ steady
+    ripple_db = settings.ripple_db * np.random.default_rng(0).standard_normal(beams)
+    image = np.empty((beams, bins), np.float32)
+    _show(
+        pressure, steady, receiver.pulse_taps(geometry),
+        receiver.gain_db(geometry) - np.float32(receiver.full_db(geometry)),
+        ripple_db.astype(np.float32), receiver.device.display_gamma, image,
+    )  # fmt: skip
+    return image.T
+
+
+@parallel_kernel
+def _scattered(echo: Float32, coverage: Float32, level: Float32, water: float) -> Float32:
+    """Power scattered back from surfaces and from the water before them, (beams, bins)."""
+    beams, bins = echo.shape
+    power = np.empty_like(echo)
+    for beam in prange(beams):
+        clear = np.float32(1.0)
+        for cell in range(bins):
+            power[beam, cell] = level[cell] * (echo[beam, cell] + np.float32(water) * clear)
+            clear = max(clear - coverage[beam, cell], np.float32(0.0))
+    return power
+
+
+@parallel_kernel
+def _pressure(
+    power: Float32,
+    amplitude: Float32,
+    texture: Float32,
+    kept: float,
+    speckled: bool,
+    textured: bool,
+    gamma: Float32,
+    normal: Float32,
+    noise: float,
+    key: np.uint64,
+    pressure: Float32,
+) -> None:
+    """Move the speckle on, and write the complex pressure (beams, 2, bins) with its noise."""
+    half = np.float32(math.sqrt(0.5))
+    old, new = np.float32(kept), half * np.float32(math.sqrt(1.0 - kept * kept))
+    noise_rms = half * np.float32(noise)
+    beams, bins = power.shape
+    for beam in prange(beams):
+        drawn, more = np.empty((4, bins), np.uint32), np.empty((4, bins), np.uint32)
+        draw_row(key, beam, 0, drawn)
+        for cell in range(bins):
+            pressure[beam, 0, cell] = noise_rms * variate(normal, drawn[2, cell])
+            pressure[beam, 1, cell] = noise_rms * variate(normal, drawn[3, cell])
+        if not speckled:
+            continue
+        scattered = power[beam].copy()
+        if textured:
+            draw_row(key, beam, 1, more)
+            for cell in range(bins):
+                if more[0, cell] * 2.0**-32 >= kept * kept:
+                    texture[beam, cell] = variate(gamma, more[1, cell])
+                scattered[cell] *= texture[beam, cell]
+        for cell in range(bins):
+            real = old * amplitude[0, beam, cell] + new * variate(normal, drawn[0, cell])
+            imaginary = old * amplitude[1, beam, cell] + new * variate(normal, drawn[1, cell])
+            amplitude[0, beam, cell], amplitude[1, beam, cell] = real, imaginary
+            strength = np.sqrt(scattered[cell])
+            pressure[beam, 0, cell] += strength * real
+            pressure[beam, 1, cell] += strength * imaginary
+
+
+@parallel_kernel
+def _show(
+    pressure: Float32,
+    steady: Float32,
+    taps: Float32,
+    gain_db: Float32,
+    ripple_db: Float32,
+    gamma: float,
+    image: Float32,
+) -> None:
+    """Blur by the pulse, detect, and show the pressure's magnitude to the power gamma.
+
+    ``steady`` is power that is not speckled: it adds up as power, and then in phase with the noise.
+    """
+    beams, bins = image.shape
+    per_db = np.float32(gamma / (20.0 * math.log10(2.0)))
+    for beam in prange(beams):
+        real, imaginary = _blurred(pressure[beam, 0], taps), _blurred(pressure[beam, 1], taps)
+        if steady.shape[1] > 0:
+            real += np.sqrt(_blurred(steady[beam], taps * taps))
+        level_db = real * real + imaginary * imaginary
+        _decibels(level_db)
+        for cell in range(bins):
+            octaves = (level_db[cell] + gain_db[cell] + ripple_db[beam]) * per_db
+            image[beam, cell] = max(min(octaves, np.float32(0.0)), np.float32(-126.0))
+        _powers_of_two(image[beam])
+        for cell in range(bins):
+            if level_db[cell] < np.float32(-380.0):
+                image[beam, cell] = 0.0
+
+
+@kernel
+def _blurred(values: Float32, taps: Float32) -> Float32:
+    """Values (bins,) convolved with an odd number of taps; nothing is beyond the ends."""
+    bins, reach = len(values), len(taps) // 2
+    found: Float32 = values * taps[reach]
+    for k in range(1, reach + 1):
+        weight = taps[reach + k]
+        for cell in range(bins - k):
+            found[cell] += weight * values[cell + k]
+        for cell in range(k, bins):
+            found[cell] += weight * values[cell - k]
+    return found
 
 
 @kernel
@@ -235,89 +352,21 @@ def _decibels(power: Float32) -> None:
         series = np.float32(1 / 7) + q * (np.float32(1 / 9) + q * series)
         series = np.float32(1 / 3) + q * (np.float32(1 / 5) + q * series)
         natural = np.float32(2.0) * s * (np.float32(1.0) + q * series)
-        power[k] = exponent * _DB_PER_OCTAVE + (natural * _DB_PER_NEPER + _DB_OF_MIDDLE)
+        power[k] = exponent * _OCTAVE_DB + (natural * _NEPER_DB + _MIDDLE_DB)
 
 
-@parallel_kernel
-def _hear(
-    power: Float32,
-    gain_db: Float32,
-    amplitude: Float32,
-    texture: Float32,
-    kept: float,
-    speckled: bool,
-    textured: bool,
-    gamma: Float32,
-    normal: Float32,
-    noise: float,
-    key: np.uint64,
-    shown_db: float,
-    image: Float32,
-) -> None:
-    """Move the speckle on, hear (beams, bins) through it and the noise, and show it in dB."""
-    half = np.float32(math.sqrt(0.5))
-    old, new = np.float32(kept), half * np.float32(math.sqrt(1.0 - kept * kept))
-    noise_rms, per_db = half * np.float32(noise), np.float32(1.0 / shown_db)
-    beams, bins = power.shape
-    for beam in prange(beams):
-        drawn, more = np.empty((4, bins), np.uint32), np.empty((4, bins), np.uint32)
-        draw_row(key, beam, 0, drawn)
-        heard = power[beam].copy()
-        if speckled:
-            for cell in range(bins):
-                real = old * amplitude[0, beam, cell] + new * variate(normal, drawn[0, cell])
-                imaginary = old * amplitude[1, beam, cell] + new * variate(normal, drawn[1, cell])
-                amplitude[0, beam, cell], amplitude[1, beam, cell] = real, imaginary
-                heard[cell] *= real * real + imaginary * imaginary
-        if textured:
-            draw_row(key, beam, 1, more)
-            for cell in range(bins):
-                if more[0, cell] * 2.0**-32 >= kept * kept:
-                    texture[beam, cell] = variate(gamma, more[1, cell])
-                heard[cell] *= texture[beam, cell]
-        if noise_rms > 0.0:
-            for cell in range(bins):
-                real = np.sqrt(heard[cell]) + noise_rms * variate(normal, drawn[2, cell])
-                imaginary = noise_rms * variate(normal, drawn[3, cell])
-                heard[cell] = real * real + imaginary * imaginary
-        _decibels(heard)
-        for cell in range(bins):
-            shown = (heard[cell] + gain_db[cell]) * per_db
-            image[beam, cell] = min(max(shown, np.float32(0.0)), np.float32(1.0))
-
-
-def array_pattern(angle_rad: Float64, beam_rad: float, taper: float) -> Float64:
-    """Power pattern of a line array with the taper ``1 + taper cos``, -3 dB at half ``beam_rad``.
-
-    The transform of the taper is three sincs; uniform weights (0) give side lobes of -13 dB, a
-    taper of 0.85 (Hamming) below -40 dB.
-    """
-    u = np.sin(np.asarray(angle_rad)) / math.sin(beam_rad / 2) * _half_power_u(taper)
-    return _tapered(u, taper) ** 2
-
-
-def _tapered(u: Any, taper: float) -> Float64:
-    beam: Float64 = np.sinc(u) + taper / 2.0 * (np.sinc(u - 1.0) + np.sinc(u + 1.0))
-    return beam
-
-
-@lru_cache(maxsize=8)
-def _half_power_u(taper: float) -> float:
-    """Where the pattern of a taper has fallen to one half."""
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        above = float(_tapered(middle, taper)) ** 2 > 0.5
-        low, high = (middle, high) if above else (low, middle)
-    return low
-
-
-@lru_cache(maxsize=8)
-def _leakage(beams: int, spacing_rad: float, beam_rad: float, taper: float) -> Float32:
-    """How much of each beam's echo every beam hears, (beams, beams), rows adding up to 1."""
-    beam = np.arange(beams)
-    apart = np.clip((beam[:, None] - beam) * spacing_rad, -np.pi / 2, np.pi / 2)
-    heard = array_pattern(apart, beam_rad, taper)
-    middle = heard[beams // 2].sum()
-    leakage: Float32 = (heard / middle).astype(np.float32)
-    return leakage
+@kernel
+def _powers_of_two(values: Float32) -> None:
+    """Turn x, from -126 to 0, into 2^x where they are, to 2e-7 of it; no call, as `_decibels`."""
+    scale_bits = np.empty(len(values), np.int32)
+    for k in range(len(values)):
+        whole = np.floor(values[k] + np.float32(0.5))
+        scale_bits[k] = (np.int32(whole) + np.int32(127)) << np.int32(23)
+        y = (values[k] - whole) * _LN2
+        series = np.float32(1 / 120) + y * np.float32(1 / 720)
+        series = np.float32(1 / 6) + y * (np.float32(1 / 24) + y * series)
+        series = np.float32(1.0) + y * (np.float32(1 / 2) + y * series)
+        values[k] = np.float32(1.0) + y * series
+    scale = scale_bits.view(np.float32)
+    for k in range(len(values)):
+        values[k] *= scale[k]
