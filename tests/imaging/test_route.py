@@ -96,7 +96,9 @@ def test_side_scan_lines_make_a_waterfall() -> None:
     route = [[float(k), 0.5 * k, -5.0, -14.0, 0, 0, 0] for k in range(6)]
     config = _config("structures", route=route, timed=False, sonar={"preset": "sidescan"})
     lines = [line for line in simulate(config, named_scene("structures")) if isinstance(line, Line)]
-    image = waterfall([sidescan_line(line.port.ping, line.starboard.ping) for line in lines])
+    image = waterfall(
+        [sidescan_line(line.port.ping.image, line.starboard.ping.image) for line in lines]
+    )
     assert image.shape == (6, 2048)
     np.testing.assert_array_equal(image[-1, 1024:], lines[0].starboard.ping.image[:, 0])
     assert image[:, :1024].mean() > 0.05

@@ -142,7 +142,7 @@ def test_side_scan_hears_the_seabed_from_below_outwards_on_both_sides() -> None:
 
     def line(x_m: float) -> Float64:
         pose = Pose(x_m, 0.0, 0.0)
-        port, starboard = (sonar.ping(scene, pose, head_rad=side) for side in SIDES_RAD)
+        port, starboard = (sonar.ping(scene, pose, head_rad=side).image for side in SIDES_RAD)
         return np.asarray(sidescan_line(port, starboard), np.float64)
 
     bins, bin_m = 1024, 50.0 / 1024

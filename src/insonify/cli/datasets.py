@@ -17,6 +17,7 @@ from insonify.cli.root import (
     MaterialsOption,
     ModelOption,
     OutOption,
+    RangeOption,
     RendererOption,
     SearchOption,
     SetOption,
@@ -24,6 +25,7 @@ from insonify.cli.root import (
     app,
     choices,
     interruptible,
+    with_range,
     world_and_layers,
     world_table,
 )
@@ -41,6 +43,7 @@ def dataset(
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="How many views.")] = None,
     sonar: Annotated[str | None, typer.Option(help="A device; see: sonars")] = None,
+    range_m: RangeOption = None,
     model: ModelOption = None,
     renderer: RendererOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the poses and the noise.")] = None,
@@ -65,7 +68,7 @@ def dataset(
     chosen = choices(
         sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count
     ) | world_table(search, materials)
-    full = dataset_config(*world_and_layers(world, config, settings, chosen))
+    full = dataset_config(*world_and_layers(world, config, with_range(settings, range_m), chosen))
     folder = out or unused_folder(Path("insonify-runs") / file_name(f"{full.world_name}-dataset"))
     with (
         interruptible("stopping after the views that are being made") as interrupted,

@@ -84,10 +84,10 @@ def info(
     summary, middle = summarise(open_recording(file, reading))
     if picture is not None and middle is not None:
         from insonify.io.folders import write_file
-        from insonify.report.fans import draw_fan
+        from insonify.report.fans import AS_IT_IS, draw_fan
 
         title = f"{file.name}, ping {summary['pings'] // 2 + 1} of {summary['pings']}"
-        write_file(picture, draw_fan(middle, title))
+        write_file(picture, draw_fan(middle, title, scale=AS_IT_IS))
         tell(f"Picture: {picture}")
     if as_json:
         say_json(summary)

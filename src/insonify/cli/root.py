@@ -60,6 +60,10 @@ RendererOption = Annotated[
     str | None, typer.Option("--renderer", help="embree or opengl.", show_default=False)
 ]
 ModelOption = Annotated[str | None, typer.Option(help="cerqueira or physical.", show_default=False)]
+RangeOption = Annotated[
+    float | None,
+    typer.Option("--range", metavar="M", help="Greatest range, instead of the device's own."),
+]
 SearchOption = Annotated[
     list[Path] | None,
     typer.Option("--search", metavar="DIR", help="Look for models here; may be repeated."),
@@ -77,6 +81,13 @@ class Interrupted(BaseException):
 def choices(**given: Any) -> Table:
     """The options that were given, as a layer of settings."""
     return {key: value for key, value in given.items() if value is not None}
+
+
+def with_range(settings: list[str] | None, range_m: float | None) -> list[str] | None:
+    """Single settings, below them the sonar's range if it was given."""
+    if range_m is None:
+        return settings
+    return [f"sonar.range_max_m={range_m}", *(settings or [])]
 
 
 def absolute(name: str | None) -> str | None:

@@ -19,6 +19,7 @@ from insonify.cli.root import (
     MaterialsOption,
     ModelOption,
     OutOption,
+    RangeOption,
     RendererOption,
     SearchOption,
     SetOption,
@@ -27,6 +28,7 @@ from insonify.cli.root import (
     choices,
     interruptible,
     numbers_of,
+    with_range,
     world_and_layers,
     world_table,
 )
@@ -74,6 +76,7 @@ def simulate(
     pose: PoseOption = None,
     path: PathOption = None,
     orbit: OrbitOption = None,
+    range_m: RangeOption = None,
     model: ModelOption = None,
     renderer: RendererOption = None,
     truth: Annotated[
@@ -97,7 +100,9 @@ def simulate(
 
     chosen = choices(sonar=absolute(sonar), model=model, renderer=renderer, seed=seed)
     chosen |= world_table(search, materials) | _route(pose, path, orbit)
-    full = simulation_config(*world_and_layers(world, config, settings, chosen))
+    full = simulation_config(
+        *world_and_layers(world, config, with_range(settings, range_m), chosen)
+    )
     _simulate(full, out, force=force, truth=truth, camera=camera, mcap=mcap, as_json=as_json)
 
 

@@ -18,6 +18,7 @@ from insonify.cli.root import (
     JsonOption,
     MaterialsOption,
     OutOption,
+    RangeOption,
     SearchOption,
     SetOption,
     absolute,
@@ -68,6 +69,7 @@ def fly(
         str | None,
         typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [[sonars]]."),
     ] = None,
+    range_m: RangeOption = None,
     mcap: McapOption = False,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
     real_time: RealTimeOption = False,
@@ -89,7 +91,7 @@ def fly(
         vehicle=vehicle_table(vehicle, current, navigation),
         waypoints=_waypoints(waypoints, path),
     ) | world_table(search, materials)
-    full = tour_config([*file_layers(config), chosen, *single_layers(settings)])
+    full = tour_config([*file_layers(config), chosen, *single_layers(settings)], range_m)
     pace = wall_clock() if real_time else lambda time_s: None
     _fly(full, out, force=force, mcap=mcap, as_json=as_json, pace=pace)
 

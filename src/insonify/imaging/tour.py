@@ -82,8 +82,12 @@ class Tour(WorldSettings, Rendering):
         return tuple(Pose(x, y, z, yaw_rad=math.radians(yaw)) for x, y, z, yaw in self.waypoints)
 
 
-def tour_config(layers: Iterable[Table]) -> Tour:
+def tour_config(layers: Iterable[Table], range_m: float | None = None) -> Tour:
     """The settings of a tour from layers; sonars may name a ``preset``, or be a suite's name.
+
+    Args:
+        layers: Settings, each over those before it.
+        range_m: Greatest range of all sonars, instead of their own.
 
     Raises:
         ConfigError: A setting is unknown, missing or out of range.
@@ -98,7 +102,7 @@ def tour_config(layers: Iterable[Table]) -> Tour:
     if isinstance(table["sonars"], str):
         table["sonars"] = _suite(table["sonars"])
     if isinstance(table["sonars"], list):
-        table["sonars"] = [_resolved(one) for one in table["sonars"]]
+        table["sonars"] = [_resolved(one, range_m) for one in table["sonars"]]
     config = validated(Tour, table)
     vehicle_named(config.vehicle.name)
     return config
@@ -121,11 +125,14 @@ def _suite(name: str) -> Any:
     return sonars
 
 
-def _resolved(mounted: Any) -> Any:
-    """A mounted sonar with its preset's settings below its own."""
+def _resolved(mounted: Any, range_m: float | None) -> Any:
+    """A mounted sonar with its preset's settings below its own, and a range above them."""
     if not isinstance(mounted, dict) or "sonar" not in mounted:
         return mounted
-    return mounted | {"sonar": resolved_device(mounted["sonar"])}
+    device = resolved_device(mounted["sonar"])
+    if range_m is not None and isinstance(device, dict):
+        device = device | {"range_max_m": range_m}
+    return mounted | {"sonar": device}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

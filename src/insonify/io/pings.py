@@ -10,7 +10,7 @@ import numpy as np
 from insonify.errors import RecordingError
 from insonify.io.archives import read_archive
 from insonify.sonar.truth import Truth
-from insonify.types import Array, FanGeometry, Float32, Ping, Pose, PosedPing
+from insonify.types import Array, FanGeometry, Ping, Pose, PosedPing
 
 PING, SWEEP, VERSION = "insonify-ping", "insonify-sweep", 1
 _PIXELWISE = ("label", "elevation_rad", "range_m", "point_m", "first_return", "shadow")
@@ -128,9 +128,28 @@ def load_sweep(path: Path) -> list[PosedPing]:
         raise RecordingError(f"{path}: damaged, it lacks or garbles an array ({err})") from err
 
 
-def save_sidescan(path: Path, image: Float32, bin_m: float, poses: Sequence[Pose | None]) -> None:
-    """Write a side-scan image, (lines, 2 x bins) float32, the first line last, and its poses."""
-    arrays = {"image": image, "bin_m": np.array(bin_m), "poses": np.array([*map(_six, poses)])}
+def save_sidescan(
+    path: Path,
+    image: Array,
+    bin_m: float,
+    posed: Sequence[PosedPing],
+    labels: Sequence[str],
+    truth: Mapping[str, Array],
+) -> None:
+    """Write a side-scan image as a NumPy archive.
+
+    Arrays: ``image`` (lines, 2 x bins) float32, port from far to near and then starboard, the first
+    line last; ``bin_m``; ``times_s`` (lines,) and ``poses`` (lines, 6), the first line first; with
+    truth ``labels``, and ``label`` and ``shadow``, laid out as the image.
+    """
+    arrays = {
+        "image": image,
+        "bin_m": np.array(bin_m),
+        "times_s": np.array([one.ping.time_s for one in posed]),
+        "poses": np.array([_six(one.pose) for one in posed]),
+    }
+    if truth:
+        arrays |= {"labels": np.array(labels), **truth}
     _write(path, "insonify-sidescan", arrays)
 
 

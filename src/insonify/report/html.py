@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ import numpy as np
 from insonify.mission.account import Account
 from insonify.planning.decision import DecisionRecord
 from insonify.report import flights, pictures
-from insonify.report.fans import draw_fan
+from insonify.report.fans import draw_fan, scale_of
 from insonify.types import Array, Bool, Float64
 
 
@@ -77,11 +78,13 @@ def _decisions(account: Account) -> list[tuple[int, DecisionRecord, bytes]]:
 
 
 def _pings(account: Account) -> list[bytes]:
+    config = tomllib.loads(account.config_toml)
+    scale = scale_of(config["model"], config["sonar"]["display_gamma"])
     found = []
     for scan, posed in account.keyframes:
         assert posed.pose is not None
         where = f"at ({posed.pose.x_m:.1f}, {posed.pose.y_m:.1f}) m"
-        found.append(draw_fan(posed.ping, f"scan {scan}, {where}"))
+        found.append(draw_fan(posed.ping, f"scan {scan}, {where}", scale=scale))
     return found
 
 

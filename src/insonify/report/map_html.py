@@ -7,7 +7,7 @@ from pathlib import Path
 
 from insonify.mission.remap import Remap
 from insonify.report import map_pictures
-from insonify.report.fans import draw_fan
+from insonify.report.fans import AS_IT_IS, draw_fan
 from insonify.report.html import embed, template
 
 
@@ -27,7 +27,7 @@ def write_map_report(remap: Remap, path: Path) -> None:
         entropy=embed(map_pictures.draw_entropy(window)),
         slices=embed(map_pictures.draw_slices(window)),
         pings=[
-            embed(draw_fan(posed.ping, f"{name}, ping {number}"))
+            embed(draw_fan(posed.ping, f"{name}, ping {number}", scale=AS_IT_IS))
             for name, number, posed in remap.keyframes
         ],
         settings=json.dumps(

@@ -19,12 +19,14 @@ from insonify.report.fans import (
     draw_soundings,
     draw_truth,
     draw_waterfall,
+    draw_waterfall_truth,
     picture_png,
+    scale_of,
 )
 from insonify.results.files import CONFIG, save_result
 from insonify.sonar.scanning import sidescan_line, waterfall
 from insonify.sonar.truth import Truth
-from insonify.types import Float32, Float64, Pose, PosedPing
+from insonify.types import Array, Float64, PosedPing
 
 
 class ImagesWriter:
@@ -43,12 +45,10 @@ class ImagesWriter:
         self._arrays.mkdir()
         self._pictures.mkdir()
         self._rows: list[Table] = []
-        self._lines: list[Float32] = []
-        self._line_poses: list[Pose | None] = []
-        self._bin_m = 0.0
+        self._lines: list[Line] = []
         self._points: list[Float64] = []
-        stem = config.world_name
-        self._title = f"{stem}, {config.sonar.name}, {config.model}, {config.renderer}"
+        self._title = f"{config.sonar.name} in {config.world_name}"
+        self._scale = scale_of(config.model, config.sonar.display_gamma)
         (folder / CONFIG).write_text(config_to_toml(config, "simulate"), encoding="utf-8")
 
     def write(self, record: Record) -> None:
@@ -66,9 +66,7 @@ class ImagesWriter:
     def finish(self) -> ImagesResult:
         """Write what is made of all records, and the figures."""
         if self._lines:
-            image, bin_m = waterfall(self._lines), self._bin_m
-            save_sidescan(self._folder / "sidescan.npz", image, bin_m, self._line_poses)
-            self._picture("sidescan", draw_waterfall(image, bin_m, self._title))
+            self._write_sidescan()
         if self._points:
             points = np.concatenate(self._points)
             np.savetxt(self._folder / "soundings.xyz", points, fmt="%.4f", header="x_m y_m z_m")
@@ -90,8 +88,8 @@ class ImagesWriter:
     def _write_shot(self, shot: Shot) -> None:
         name, ping = f"{shot.number:04d}", shot.posed.ping
         save_ping(self._arrays / f"{name}.npz", shot.posed, shot.truth)
-        self._picture(f"{name}-fan", draw_fan(ping, self._title, 12.0))
-        self._picture(f"{name}-polar", draw_polar(ping, self._title))
+        self._picture(f"{name}-fan", draw_fan(ping, self._title, 12.0, self._scale))
+        self._picture(f"{name}-polar", draw_polar(ping, self._title, self._scale))
         if shot.truth is not None:
             self._picture(f"{name}-truth", draw_truth(ping, shot.truth, self._title, 12.0))
         if shot.picture is not None:
@@ -102,23 +100,47 @@ class ImagesWriter:
         name, title = f"{turn.number:04d}", self._title
         path = self._arrays / f"{name}.npz"
         save_sweep(path, turn.pings, turn.polar, turn.deskewed, turn.truths)
-        self._picture(f"{name}-fan", draw_fan(turn.polar, title, 8.0))
-        self._picture(f"{name}-polar", draw_polar(turn.polar, title))
-        self._picture(f"{name}-deskewed", draw_fan(turn.deskewed, f"{title}, de-skewed", 8.0))
+        scale = self._scale
+        self._picture(f"{name}-fan", draw_fan(turn.polar, title, 8.0, scale, smooth=True))
+        self._picture(f"{name}-polar", draw_polar(turn.polar, title, scale))
+        deskewed = draw_fan(turn.deskewed, f"{title}, de-skewed", 8.0, scale, smooth=True)
+        self._picture(f"{name}-deskewed", deskewed)
         if turn.picture is not None:
             self._picture(f"{name}-camera", picture_png(turn.picture))
         for posed in turn.pings:
             self._note(posed, [], head_deg=math.degrees(posed.ping.head_rad))
 
     def _write_line(self, line: Line) -> None:
-        self._lines.append(sidescan_line(line.port.ping, line.starboard.ping))
-        self._line_poses.append(line.port.pose)
-        self._bin_m = line.port.ping.geometry.bin_m
+        self._lines.append(line)
         truths = line.truths or (None, None)
         sides = zip(("port", "starboard"), (line.port, line.starboard), truths, strict=True)
         for side, posed, truth in sides:
             save_ping(self._arrays / f"{line.number:04d}-{side}.npz", posed, truth)
         self._note(line.port, line.truths)
+
+    def _write_sidescan(self) -> None:
+        """All lines as one image, one archive and, with truth, one picture of it."""
+        lines = self._lines
+        bin_m = lines[0].port.ping.geometry.bin_m
+        images = (sidescan_line(one.port.ping.image, one.starboard.ping.image) for one in lines)
+        image = waterfall(list(images))
+        truth: dict[str, Array] = {}
+        if lines[0].truths:
+            for name in ("label", "shadow"):
+                pixels = [[getattr(one, name) for one in line.truths] for line in lines]
+                truth[name] = waterfall([sidescan_line(*both) for both in pixels])
+        posed = [line.port for line in lines]
+        save_sidescan(self._folder / "sidescan.npz", image, bin_m, posed, self._labels, truth)
+        places = np.array([one.pose.position_m for one in posed if one.pose is not None])
+        steps_m = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+        picture = draw_waterfall(image, bin_m, along_m, self._title, self._scale)
+        self._picture("sidescan", picture)
+        if truth:
+            told = draw_waterfall_truth(
+                truth["label"], truth["shadow"], self._labels, bin_m, along_m, self._title
+            )
+            self._picture("sidescan-truth", told)
 
     def _picture(self, name: str, png: bytes) -> None:
         (self._pictures / f"{name}.png").write_bytes(png)

@@ -16,7 +16,7 @@ from insonify.imaging.tour import MountedSonar, Tour, TourPing, turns_of
 from insonify.io.pings import save_sweep
 from insonify.io.trajectories import POSE_COLUMNS, pose_row, save_track
 from insonify.mission.result import TourResult
-from insonify.report.fans import draw_fan
+from insonify.report.fans import draw_fan, scale_of
 from insonify.results.files import CONFIG, save_result
 from insonify.sonar.devices import Kind
 from insonify.sonar.scanning import deskewed_image, head_angles, polar_image
@@ -55,7 +55,7 @@ class TourWriter:
         self._table = (folder / "pings.csv").open("w", encoding="utf-8", newline="")
         self._rows = csv.writer(self._table, lineterminator="\n")
         self._rows.writerow(COLUMNS)
-        self._sonars = {one.name: _SonarWriter(one, folder) for one in config.sonars}
+        self._sonars = {one.name: _SonarWriter(one, config.model, folder) for one in config.sonars}
 
     def write(self, one: TourPing) -> None:
         """Take the next ping of any sonar."""
@@ -110,9 +110,10 @@ class TourWriter:
 class _SonarWriter:
     """The files of one sonar; images wait in a file of raw numbers until all are there."""
 
-    def __init__(self, mounted: MountedSonar, folder: Path) -> None:
+    def __init__(self, mounted: MountedSonar, model: str, folder: Path) -> None:
         self._mounted, self._folder = mounted, folder
         self._scanning = mounted.sonar.kind is Kind.SCANNING
+        self._scale = scale_of(model, mounted.sonar.display_gamma)
         self._raw = folder / f".{mounted.name}.raw"
         self._images = self._raw.open("wb")
         self._numbers: dict[str, list[Any]] = {
@@ -185,7 +186,9 @@ class _SonarWriter:
             number = count * share // 4
             time_s = self._numbers["time_s"][number]
             title = f"{self._mounted.name}, ping {number}, {time_s:.2f} s"
-            picture = draw_fan(Ping(np.asarray(images[number]), fan, time_s), title, 8.0)
+            picture = draw_fan(
+                Ping(np.asarray(images[number]), fan, time_s), title, 8.0, self._scale
+            )
             (self._folder / f"{self._mounted.name}-{number:05d}.png").write_bytes(picture)
 
     def _write_turn(self, pings: Iterable[TourPing]) -> None:
@@ -198,7 +201,8 @@ class _SonarWriter:
         save_sweep(self._folder / f"{name}.npz", turn, polar, deskewed, ())
         for kind, image in (("polar", polar), ("deskewed", deskewed)):
             title = f"{self._mounted.name}, turn {self._turns}, {kind}, from {image.time_s:.2f} s"
-            (self._folder / f"{name}-{kind}.png").write_bytes(draw_fan(image, title, 8.0))
+            picture = draw_fan(image, title, 8.0, self._scale, smooth=True)
+            (self._folder / f"{name}-{kind}.png").write_bytes(picture)
         self._turns += 1
 
 

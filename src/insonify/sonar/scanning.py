@@ -14,7 +14,7 @@ import numpy as np
 
 from insonify.frames import transform_from_pose
 from insonify.sonar.devices import Kind, SonarDevice
-from insonify.types import FanGeometry, Float32, Float64, Ping, Pose, PosedPing
+from insonify.types import Array, FanGeometry, Float32, Float64, Ping, Pose, PosedPing
 
 _PARTS_ACROSS, _PARTS_ALONG = 8, 2
 """A cell is de-skewed as so many points."""
@@ -124,12 +124,16 @@ SIDES_RAD = (math.pi / 2, -math.pi / 2)
 """Port and starboard head of a side-scan."""
 
 
-def sidescan_line(port: Ping, starboard: Ping) -> Float32:
-    """One line of a side-scan image, (2 x bins,): port from far to near, then starboard."""
-    return np.concatenate([port.image[::-1, 0], starboard.image[:, 0]])
+def sidescan_line(port: Array, starboard: Array) -> Array:
+    """One line of a side-scan image, (2 x bins,), of the (bins, 1) of its two pings.
+
+    Port from far to near, then starboard.
+    """
+    line: Array = np.concatenate([port[::-1, 0], starboard[:, 0]])
+    return line
 
 
-def waterfall(lines: Sequence[Float32]) -> Float32:
+def waterfall(lines: Sequence[Array]) -> Array:
     """The lines of a side-scan image, (lines, 2 x bins), port on the left, the first line below."""
     return np.stack(lines[::-1])
 
