@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +12,16 @@ import trimesh
 
 from insonify.errors import RendererError
 from insonify.scene import Body, Scene
+from insonify.scene.named import named_scene
+from insonify.scene.worlds import WorldWarning
 from insonify.sonar import Sonar
-from insonify.sonar.devices import SonarDevice
+from insonify.sonar.devices import SonarDevice, named_device
 from insonify.sonar.opengl import OpenGLRenderer
 from insonify.sonar.physical import PhysicalSettings
 from insonify.sonar.truth import Truth
 from insonify.types import Float64, Pose
 
+DATA = Path(__file__).resolve().parents[3] / "shared/data"
 DEVICE = SonarDevice(
     azimuth_fov_deg=60, elevation_fov_deg=20, beams=60, bins=300, range_max_m=30, tilt_deg=0
 )
@@ -114,3 +119,20 @@ def test_the_truth_leaves_mirrors_out() -> None:
     before, after = plain.truth(sunk, eye), mirrored.truth(sunk, eye)
     np.testing.assert_array_equal(before.label, after.label)
     np.testing.assert_array_equal(before.point_m, after.point_m)
+
+
+def test_shadow_behind_a_low_crest_has_no_stripes() -> None:
+    """What a crest far away hides is seen by few even rays; by those of divided patches, by all."""
+    world = DATA / "worlds/sunken_ship_site.world"
+    if not world.is_file():
+        pytest.skip(f"needs {world.name} in ../shared/data, which is not here")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", WorldWarning)  # a texture is not there
+        scene = named_scene(str(world), [DATA / "models"])
+    device = named_device("gemini-720is").model_copy(update={"bins": 512, "range_max_m": 120.0})
+    pose = Pose(20.0, 0.0, -50.0, pitch_rad=math.radians(20.0), yaw_rad=math.pi)
+    shadow = Sonar(device).truth(scene, pose).shadow
+    starboard = shadow[device.geometry.bin_ranges_m > 112.0, 452:]
+    flips = (np.diff(starboard.astype(int), axis=1) != 0).sum(axis=1)
+    assert starboard.mean() > 0.5
+    assert flips.mean() < 4.0, "14 of 60 beams and more, with even rays alone"

@@ -15,6 +15,7 @@ import numpy as np
 from insonify.frames import world_from_sonar
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
+from insonify.scene.rays import Hits
 from insonify.sonar.histogram import BEYOND, EchoHistogram, Response, Samples, gather
 from insonify.sonar.multipath import mirrored_samples
 from insonify.sonar.patches import Grid, View, even_grid
@@ -53,10 +54,7 @@ class EmbreeRenderer:
         whole = np.ones(len(grid.directions), np.bool_)
         sets = []
         if self.sampling.refine > 1:
-            rough = _rough(
-                hits.range_m, hits.normal, hits.body, grid.directions, grid.columns, grid.rows,
-                geometry.bin_m, BEYOND * geometry.range_max_m,
-            )  # fmt: skip
+            rough = rough_patches(view, grid, hits)
             whole = ~rough
             if rough.any():
                 sets.append(self._divide(view, grid, rough))
@@ -72,18 +70,31 @@ class EmbreeRenderer:
     def _divide(self, view: View, grid: Grid, rough: Bool) -> Samples:
         """Samples of the rough patches, each divided ``refine`` times across and over."""
         parts = self.sampling.refine
-        chosen = np.flatnonzero(rough)
-        per_beam = len(rough) // view.geometry.beams
-        directions = _divided(
-            chosen, grid.azimuth, grid.elevation, grid.step_az, grid.step_el, parts
-        )
+        directions, starts = divided_patches(view, grid, rough, parts)
         hits, shading = view.cast(directions)
-        starts = np.searchsorted(chosen, np.arange(view.geometry.beams + 1) * per_beam)
+        per_beam = len(rough) // view.geometry.beams
         weight = np.full(len(directions), 1.0 / (per_beam * parts * parts), np.float32)
         return view.samples(
-            starts * parts * parts, directions, hits, shading, weight,
-            grid.step_az / parts, grid.step_el / parts,
-        )  # fmt: skip
+            starts, directions, hits, shading, weight, grid.step_az / parts, grid.step_el / parts
+        )
+
+
+def rough_patches(view: View, grid: Grid, hits: Hits) -> Bool:
+    """Which patches (N,) of a grid do not continue into all their neighbours' planes."""
+    geometry = view.geometry
+    return _rough(
+        hits.range_m, hits.normal, hits.body, grid.directions, grid.columns, grid.rows,
+        geometry.bin_m, BEYOND * geometry.range_max_m,
+    )  # fmt: skip
+
+
+def divided_patches(view: View, grid: Grid, rough: Bool, parts: int) -> tuple[Float32, Int64]:
+    """Directions of the parts of rough patches, and where each beam's begin, (beams + 1,)."""
+    chosen = np.flatnonzero(rough)
+    directions = _divided(chosen, grid.azimuth, grid.elevation, grid.step_az, grid.step_el, parts)
+    per_beam = len(rough) // view.geometry.beams
+    starts = np.searchsorted(chosen, np.arange(view.geometry.beams + 1) * per_beam)
+    return directions, starts * parts * parts
 
 
 @parallel_kernel

@@ -9,10 +9,11 @@ import numpy as np
 from insonify.frames import world_from_sonar
 from insonify.scene import Scene
 from insonify.scene.rays import Hits
+from insonify.sonar.embree import divided_patches, rough_patches
 from insonify.sonar.histogram import BEYOND, Response, Samples, gather, strongest
 from insonify.sonar.patches import View, even_grid
 from insonify.sonar.sampling import SamplingSettings, even_samples
-from insonify.types import Bool, FanGeometry, Float32, Int32, Pose
+from insonify.types import Bool, FanGeometry, Float32, Int32, Int64, Pose
 
 _COLOURS = (
     "1f77b4", "ff7f0e", "2ca02c", "d62728", "9467bd", "8c564b", "e377c2", "7f7f7f", "bcbd22",
@@ -94,21 +95,36 @@ def label_colours(count: int) -> Float32:
 def _hidden(scene: Scene, geometry: FanGeometry, pose: Pose) -> Float32:
     """Coverage (bins, beams) of hidden surfaces: those beyond the first that a ray meets.
 
-    Where a ray leaves a closed body, at every second meeting with it, is nothing to be seen.
+    Where a ray leaves a closed body, at every second meeting with it, is nothing to be seen.  Rays
+    are as dense as the image's own: behind a crest, what is hidden may be lower than a patch.
     """
-    grid = even_grid(geometry, *even_samples(geometry, SamplingSettings()))
-    transform = world_from_sonar(pose, geometry.mount)
-    view = View(scene, geometry, transform, Response())
+    sampling = SamplingSettings()
+    grid = even_grid(geometry, *even_samples(geometry, sampling))
+    view = View(scene, geometry, world_from_sonar(pose, geometry.mount), Response())
+    hits, _ = view.cast(grid.directions)
+    even = np.arange(geometry.beams + 1) * (len(grid.directions) // geometry.beams)
+    sets = _behind(view, grid.directions, even, grid.step_az, grid.step_el)
+    rough, parts = rough_patches(view, grid, hits), sampling.refine
+    if rough.any():
+        directions, starts = divided_patches(view, grid, rough, parts)
+        sets += _behind(view, directions, starts, grid.step_az / parts, grid.step_el / parts)
+    return gather(sets, geometry).coverage
+
+
+def _behind(
+    view: View, directions: Float32, starts: Int64, step_az: float, step_el: float
+) -> list[Samples]:
+    """Samples of what rays meet beyond the first, by layers; beams' rays begin at ``starts``."""
+    scene, transform = view.scene, view.transform
     turn = transform[:3, :3].astype(np.float32)
-    world = grid.directions @ turn.T
-    limit_m = BEYOND * geometry.range_max_m
+    world = directions @ turn.T
+    limit_m = BEYOND * view.geometry.range_max_m
     passed_m = np.zeros(len(world), np.float32)
     met_before = np.zeros((len(world), len(scene.meshes)), np.uint8)
     closed = np.zeros(len(scene.meshes), np.bool_)
     closed[: len(scene.bodies)] = [body.mesh.is_watertight for body in scene.bodies]
     ray = np.arange(len(world))
     sets: list[Samples] = []
-    per_beam = len(world) // geometry.beams
     for layer in range(_MOST_LAYERS):
         origins = transform[:3, 3] + world[ray] * passed_m[ray, None].astype(np.float64)
         hits = scene.cast(origins, world[ray], limit_m)
@@ -122,12 +138,10 @@ def _hidden(scene: Scene, geometry: FanGeometry, pose: Pose) -> Float32:
         if layer > 0:
             normal = hits.normal[met] @ turn
             behind = Hits(total_m, normal, body, hits.triangle[met], hits.uv[met])
-            starts = np.searchsorted(ray, np.arange(geometry.beams + 1) * per_beam)
-            weight = (counts / per_beam).astype(np.float32)
+            first = np.searchsorted(ray, starts)
+            weight = counts.astype(np.float32)
             sets.append(
-                view.samples(
-                    starts, grid.directions[ray], behind, normal, weight, grid.step_az, grid.step_el
-                )
+                view.samples(first, directions[ray], behind, normal, weight, step_az, step_el)
             )
         passed_m[ray] = total_m + np.maximum(np.float32(1e-3), np.float32(1e-5) * total_m)
-    return gather(sets, geometry).coverage
+    return sets
