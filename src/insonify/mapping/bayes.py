@@ -228,6 +228,55 @@ def view_block(
         sights[k] = np.int32(touched) + np.int32(centred) + np.int32(whole)
 
 
+_MIXED, _FREE, _SHADOWED = 0, 1, 2
+_MARGIN = 0.02
+"""Pixels; what single precision may be off, and more."""
+
+
+@kernel
+def _fate(
+    coords: Int32, voxel_m: float, transform: Float64, fan: Float64, echoes: Int32, first: Int32
+) -> int:
+    """Whether all pixels that a block covers are free, or all are silent and in shadow.
+
+    They lie within the pixels of the sphere around the block: most blocks are told so, without a
+    look at each of their voxels' pixels.
+    """
+    half, block_m = 0.5 * voxel_m, BLOCK * voxel_m
+    dx = (coords[0] + 0.5) * block_m - transform[0, 3]
+    dy = (coords[1] + 0.5) * block_m - transform[1, 3]
+    dz = (coords[2] + 0.5) * block_m - transform[2, 3]
+    x = transform[0, 0] * dx + transform[1, 0] * dy + transform[2, 0] * dz
+    y = transform[0, 1] * dx + transform[1, 1] * dy + transform[2, 1] * dz
+    corner = math.sqrt(3.0) * half
+    inner = (BLOCK - 1) * corner  # from the middle to the farthest voxel's
+    flat, distance = math.hypot(x, y), math.sqrt(dx * dx + dy * dy + dz * dz)
+    if flat <= 2.0 * (inner + corner):
+        return _MIXED
+    beams, bins = first.shape[0], echoes.shape[1] - 1
+    spread = (math.asin(inner / flat) + corner / (flat - inner)) / fan[3] + _MARGIN
+    column = (fan[0] - math.atan2(y, x)) / fan[3]
+    depth = (inner + corner) / fan[4] + _MARGIN
+    row = (distance - fan[2]) / fan[4]
+    beam0, beam1 = max(int(column - spread), 0), min(int(column + spread), beams - 1)
+    cell0, cell1 = max(int(row - depth), 0), min(int(row + depth), bins - 1)
+    free, shadowed = True, cell0 <= cell1
+    for beam in range(beam0, beam1 + 1):
+        free &= first[beam] > cell1
+        shadowed &= first[beam] <= cell0 and echoes[beam, cell1 + 1] == echoes[beam, cell0]
+    return _FREE if free else _SHADOWED if shadowed else _MIXED
+
+
+@kernel
+def _settled(cells: Float32, seen: Array, fate: int, least: float) -> bool:
+    """Whether a block's fate changes nothing of it, as it is known to be free, or in view."""
+    known = IN_VIEW | OBSERVED if fate == _FREE else IN_VIEW
+    for k in range(VOXELS_PER_BLOCK):
+        if seen[k] & known != known or (fate == _FREE and cells[k] > least):
+            return False
+    return True
+
+
 @parallel_kernel
 def _update(
     slots: Int64,
@@ -248,11 +297,21 @@ def _update(
     """
     shape = np.array([first.shape[0], echoes.shape[1] - 1])
     for block in prange(len(slots)):
+        cells, seen = all_log_odds[slots[block]], all_seen[slots[block]]
+        fate = _fate(blocks[block], voxel_m, transform, fan, echoes, first)
+        if fate != _MIXED and _settled(cells, seen, fate, evidence[2]):
+            continue
         views = np.empty((5, VOXELS_PER_BLOCK), np.int32)
         view_block(blocks[block], voxel_m, transform, fan, shape, views)
         beam0s, beam1s, cell0s, cell1s, sights = views[0], views[1], views[2], views[3], views[4]
-        cells = all_log_odds[slots[block]]
-        seen = all_seen[slots[block]]
+        if fate != _MIXED:
+            for k in range(VOXELS_PER_BLOCK):  # without branches, so that it vectorises
+                silent = fate == _FREE and sights[k] == _WHOLE
+                lower = max(cells[k] + evidence[0], evidence[2])
+                cells[k] = lower if silent else cells[k]
+                bits = IN_VIEW | OBSERVED if silent else IN_VIEW
+                seen[k] |= bits if sights[k] >= _CENTRED else 0
+            continue
         for k in range(VOXELS_PER_BLOCK):
             if sights[k] == _OUTSIDE:
                 continue
