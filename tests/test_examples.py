@@ -42,7 +42,7 @@ def _number(text: str, pattern: str) -> float:
 
 def test_there_is_one_for_each_subject() -> None:
     subjects = ("first_ping", "first_scan", "own_sonar", "own_planner", "own_recording", "dataset",
-                "vehicle", "own_mapper", "campaign", "gym")  # fmt: skip
+                "vehicle", "own_mapper", "campaign", "gym", "load_pings")  # fmt: skip
     assert [f"{k:02d}_{subject}.py" for k, subject in enumerate(subjects, 1)] == EXAMPLES
 
 
@@ -137,3 +137,10 @@ def test_own_parts_run_from_the_command_line(
     assert done.returncode == 0, done.stderr
     config = tomllib.loads((tmp_path / "run/config.toml").read_text())
     assert config[key] == str(ROOT / "examples" / plugin)
+
+
+def test_load_pings(folder: Path) -> None:
+    said = _run("11_load_pings.py", folder)
+    assert said.count("the strongest echo is") == 3
+    assert 1.0 < _number(said, r"strongest echo is ([\d.]+) m away") < 8.0
+    assert _number(said, r"floor: (\d+) pixels") > 1000

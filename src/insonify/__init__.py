@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from insonify.errors import InsonifyError as InsonifyError
     from insonify.io.maps import load_map as load_map
     from insonify.io.maps import save_map as save_map
+    from insonify.io.pings import load_ping as load_ping
+    from insonify.io.recordings import load_pings as load_pings
     from insonify.io.recordings import open_recording as open_recording
     from insonify.mapping.bayes import BayesMapper as BayesMapper
     from insonify.mapping.mapper import Belief as Belief
@@ -48,6 +50,8 @@ _HOMES = {
     "execute": "insonify.mission.run",
     "load_campaign": "insonify.results.campaign",
     "load_map": "insonify.io.maps",
+    "load_ping": "insonify.io.pings",
+    "load_pings": "insonify.io.recordings",
     "load_result": "insonify.results.files",
     "load_scan": "insonify.results.scan",
     "load_scene": "insonify.scene.worlds",

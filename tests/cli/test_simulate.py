@@ -14,7 +14,7 @@ from PIL import Image
 
 from insonify.errors import RecordingError
 from insonify.io.pings import load_ping
-from insonify.io.recordings import open_recording
+from insonify.io.recordings import load_pings, open_recording
 from insonify.io.recordings.recording import Reading
 from insonify.types import Pose
 
@@ -187,3 +187,27 @@ def test_what_was_simulated_maps_like_a_recording(tmp_path: Path) -> None:
     x = load_map(tmp_path / "m").occupied_m()[:, 0]
     assert len(x) > 100
     assert x.min() > 3.5 and x.max() < 4.3
+
+
+def test_many_pings_are_one_archive_with_some_pictures(tmp_path: Path) -> None:
+    head = "x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg"
+    rows = [f"{0.01 * k},0,-1,0,20,0" for k in range(120)]
+    words = ["simulate", "tank", "--sonar", "didson", "--range", "8", *FAST]
+    for out, count in (("one", 120), ("each", 6)):
+        (tmp_path / "path.csv").write_text("\n".join([head, *rows[:count]]))
+        done = _run(*words, "--path", "path.csv", "--out", out, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == [
+        "config.toml", "pictures", "pings.npz", "result.json",
+    ]  # fmt: skip
+    assert len(list((tmp_path / "one/pictures").iterdir())) == 20
+    assert len(list((tmp_path / "each/pings").iterdir())) == 6
+    for one, other in zip(
+        load_pings(tmp_path / "one"), load_pings(tmp_path / "each"), strict=False
+    ):
+        assert one.ping.image.tobytes() == other.ping.image.tobytes()
+        assert (one.pose, one.ping.geometry) == (other.pose, other.ping.geometry)
+        assert one.ping.time_s == other.ping.time_s
+        assert one.ping.geometry.range_max_m == 8.0
+    recording = open_recording(tmp_path / "one")
+    assert (recording.format, recording.count) == ("result of simulate", 120)

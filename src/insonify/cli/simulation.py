@@ -126,7 +126,7 @@ def _simulate(
     name = file_name(f"{config.world_name}-{config.sonar.name}")
     folder = out or unused_folder(Path("insonify-runs") / name)
     with result_folder(folder, force=force) as place, interruptible() as interrupted:
-        writer = ImagesWriter(config, scene.labels, place.scratch)
+        writer = ImagesWriter(config, scene.labels, place.scratch, truth=truth)
         with _progress(config) as watch:
             for record in run(config, scene, with_truth=truth, camera=eye):
                 watch(record)

@@ -13,16 +13,18 @@ from insonify.sonar.truth import Truth
 from insonify.types import Array, FanGeometry, Ping, Pose, PosedPing
 
 PING, SWEEP, VERSION = "insonify-ping", "insonify-sweep", 1
+FAN = ("azimuth_fov_rad", "elevation_fov_rad", "range_min_m", "range_max_m")
 _PIXELWISE = ("label", "elevation_rad", "range_m", "point_m", "first_return", "shadow")
 
 
 def save_ping(path: Path, posed: PosedPing, truth: Truth | None = None) -> None:
     """Write a ping as a NumPy archive.
 
-    Arrays: ``format``, ``version``, ``image`` (bins, beams) float32; ``fan``: azimuth and elevation
-    field of view (rad), least and greatest range (m); ``mount`` and ``pose``: x, y, z (m), roll,
-    pitch, yaw (rad) of the sonar on the body and of the body in the world; ``time_s``; with truth
-    also ``labels`` and the arrays of `insonify.sonar.truth.Truth`.
+    Arrays: ``format``, ``version``, ``image`` (bins, beams) float32 in [0, 1], the first beam to
+    port; ``azimuth_fov_rad``, ``elevation_fov_rad``, ``range_min_m`` and ``range_max_m``; ``mount``
+    and ``pose``: x, y, z (m), roll, pitch, yaw (rad) of the sonar on the body and of the body in
+    the world; ``time_s``; with truth also ``labels`` and the arrays of
+    `insonify.sonar.truth.Truth`.
     """
     ping = posed.ping
     arrays = {"image": ping.image, "time_s": np.array(ping.time_s), "pose": _six(posed.pose)}
@@ -64,7 +66,7 @@ def save_sweep(
     Arrays: ``raw`` (bins, steps) float32 in the order in which the pings were sent, with
     ``head_rad``, ``times_s``, ``poses`` and ``mounts`` (steps, 6) of each and ``beam_rad``, their
     width; ``image`` and ``deskewed`` (bins,
-    steps) from port to starboard, with ``fan``, ``mount`` and ``pose``, the first ping's, as in
+    steps) from port to starboard, with their fan, ``mount`` and ``pose``, the first ping's, as in
     `save_ping`; with truth ``labels`` and the arrays of `Truth`, in the order of ``raw``.
     """
     arrays = {
@@ -106,7 +108,7 @@ def load_sweep(path: Path) -> list[PosedPing]:
     if "mounts" not in arrays:
         raise RecordingError(f"{path}: a turn of an earlier version, without mounts; make it again")
     try:
-        _, height, near, far = (float(value) for value in arrays["fan"])
+        _, height, near, far = fan_figures(arrays)
         width, raw = float(arrays["beam_rad"]), arrays["raw"]
         columns = zip(
             raw.T, arrays["times_s"], arrays["poses"], arrays["mounts"], arrays["head_rad"],
@@ -170,15 +172,27 @@ def _pose(six: Array) -> Pose:
     return Pose(x, y, z, roll, pitch, yaw)
 
 
+def fan_arrays(geometry: FanGeometry) -> dict[str, Array]:
+    """The figures of a fan, each an array by its name."""
+    return {name: np.array(getattr(geometry, name)) for name in FAN}
+
+
+def fan_figures(arrays: Mapping[str, Array]) -> tuple[float, float, float, float]:
+    """The figures of a fan in the order of `FAN`; earlier files have them in one array, ``fan``.
+
+    Raises:
+        KeyError: One is missing.
+    """
+    told = arrays["fan"] if "fan" in arrays else [arrays[name] for name in FAN]
+    azimuth, elevation, near, far = (float(value) for value in told)
+    return azimuth, elevation, near, far
+
+
 def _geometry_arrays(geometry: FanGeometry) -> dict[str, Array]:
-    fan = (
-        geometry.azimuth_fov_rad, geometry.elevation_fov_rad,
-        geometry.range_min_m, geometry.range_max_m,
-    )  # fmt: skip
-    return {"fan": np.array(fan), "mount": _six(geometry.mount)}
+    return fan_arrays(geometry) | {"mount": _six(geometry.mount)}
 
 
 def _geometry(arrays: Mapping[str, Array], image: Array) -> FanGeometry:
-    azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
+    azimuth, elevation, near, far = fan_figures(arrays)
     bins, beams = image.shape
     return FanGeometry(azimuth, elevation, beams, bins, near, far, _pose(arrays["mount"]))

@@ -10,8 +10,9 @@ import numpy as np
 
 from insonify.config.settings import Table
 from insonify.config.toml import config_to_toml
-from insonify.imaging.route import Line, Profile, Record, Shot, Simulation, Turn
+from insonify.imaging.route import Line, Profile, Record, Shot, Simulation, Turn, ping_times
 from insonify.io.pings import save_ping, save_sidescan, save_sweep
+from insonify.io.stacks import PingStack
 from insonify.mission.result import ImagesResult
 from insonify.report.fans import (
     draw_fan,
@@ -24,25 +25,41 @@ from insonify.report.fans import (
     scale_of,
 )
 from insonify.results.files import CONFIG, save_result
+from insonify.sonar.devices import Kind
 from insonify.sonar.scanning import sidescan_line, waterfall
 from insonify.sonar.truth import Truth
 from insonify.types import Array, Float64, PosedPing
 
+_FANS = (Kind.FORWARD_LOOKING, Kind.PROFILING)
+MANY, PICTURED = 100, 10
+"""Of more pings than this, all are in one archive, and so many are drawn."""
+
 
 class ImagesWriter:
-    """Writes records into a folder as they come."""
+    """Writes records into a folder as they come.
 
-    def __init__(self, config: Simulation, labels: Sequence[str], folder: Path) -> None:
+    Each ping, or turn, is a file of `io.pings`, with its pictures.  Many fans without truth are one
+    archive instead, ``pings.npz`` (`io.stacks`), and a few of them are drawn.
+    """
+
+    def __init__(
+        self, config: Simulation, labels: Sequence[str], folder: Path, *, truth: bool = False
+    ) -> None:
         """Begin in a folder that exists.
 
         Args:
             config: What is simulated.
             labels: Of the world's bodies.
             folder: Where the files go.
+            truth: Whether pings come with their truth.
         """
         self._config, self._labels, self._folder = config, tuple(labels), folder
         self._arrays, self._pictures = folder / "pings", folder / "pictures"
-        self._arrays.mkdir()
+        count = len(ping_times(config)) if config.sonar.kind in _FANS and not truth else 0
+        self._stack = PingStack(folder / "pings.npz") if count > MANY else None
+        self._every = 1 if self._stack is None else math.ceil(count / PICTURED)
+        if self._stack is None:
+            self._arrays.mkdir()
         self._pictures.mkdir()
         self._rows: list[Table] = []
         self._lines: list[Line] = []
@@ -67,6 +84,9 @@ class ImagesWriter:
         """Write what is made of all records, and the figures."""
         if self._lines:
             self._write_sidescan()
+        if self._stack is not None:
+            self._stack.finish()
+            self._stack.close()
         if self._points:
             points = np.concatenate(self._points)
             np.savetxt(self._folder / "soundings.xyz", points, fmt="%.4f", header="x_m y_m z_m")
@@ -87,9 +107,13 @@ class ImagesWriter:
 
     def _write_shot(self, shot: Shot) -> None:
         name, ping = f"{shot.number:04d}", shot.posed.ping
-        save_ping(self._arrays / f"{name}.npz", shot.posed, shot.truth)
-        self._picture(f"{name}-fan", draw_fan(ping, self._title, 12.0, self._scale))
-        self._picture(f"{name}-polar", draw_polar(ping, self._title, self._scale))
+        if self._stack is None:
+            save_ping(self._arrays / f"{name}.npz", shot.posed, shot.truth)
+        else:
+            self._stack.write(shot.posed)
+        if shot.number % self._every == 0:
+            self._picture(f"{name}-fan", draw_fan(ping, self._title, 12.0, self._scale))
+            self._picture(f"{name}-polar", draw_polar(ping, self._title, self._scale))
         if shot.truth is not None:
             self._picture(f"{name}-truth", draw_truth(ping, shot.truth, self._title, 12.0))
         if shot.picture is not None:

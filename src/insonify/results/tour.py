@@ -7,13 +7,14 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from insonify.config.toml import config_to_toml
 from insonify.imaging.tour import MountedSonar, Tour, TourPing, turns_of
 from insonify.io.pings import save_sweep
+from insonify.io.stacks import PingStack
 from insonify.io.trajectories import POSE_COLUMNS, pose_row, save_track
 from insonify.mission.result import TourResult
 from insonify.report.fans import draw_fan, scale_of
@@ -37,11 +38,8 @@ class TourWriter:
     """Writes a tour into a folder as it is flown; one turn of each sonar is in memory at most.
 
     ``pings.csv`` has the `COLUMNS` of every ping, ``trajectory.csv`` the vehicle's track.
-    ``SONAR.npz`` holds, in the order of its pings: ``images`` (pings, bins, beams) float32,
-    ``time_s`` and ``head_rad`` (pings,), ``true_pose`` and ``estimated_pose`` (pings, 6) of the
-    vehicle and ``mount`` (pings, 6) of the sonar on it, x, y, z (m), roll, pitch, yaw (rad); and
-    ``fan``: azimuth and elevation field of view (rad), least and greatest range (m).  Each whole
-    turn of a scanning head is an archive of its own, ``SONAR-NUMBER.npz``.
+    ``SONAR.npz`` is a `PingStack` of a sonar's pings in their order.  Each whole turn of a scanning
+    head is an archive of its own, ``SONAR-NUMBER.npz``.
     """
 
     def __init__(self, config: Tour, folder: Path) -> None:
@@ -108,41 +106,19 @@ class TourWriter:
 
 
 class _SonarWriter:
-    """The files of one sonar; images wait in a file of raw numbers until all are there."""
+    """The files of one sonar."""
 
     def __init__(self, mounted: MountedSonar, model: str, folder: Path) -> None:
         self._mounted, self._folder = mounted, folder
         self._scanning = mounted.sonar.kind is Kind.SCANNING
         self._scale = scale_of(model, mounted.sonar.display_gamma)
-        self._raw = folder / f".{mounted.name}.raw"
-        self._images = self._raw.open("wb")
-        self._numbers: dict[str, list[Any]] = {
-            name: []
-            for name in (
-                "time_s",
-                "head_rad",
-                "true_pose",
-                "estimated_pose",
-                "estimated_std",
-                "mount",
-            )
-        }
-        self._geometry: FanGeometry | None = None
+        self._stack = PingStack(folder / f"{mounted.name}.npz")
         self._turn: list[TourPing] = []
         self._turns = 0
 
     def write(self, one: TourPing) -> None:
         """Take the next ping."""
-        ping, numbers = one.posed.ping, self._numbers
-        self._geometry = self._geometry or ping.geometry
-        self._images.write(np.ascontiguousarray(ping.image, np.float32).tobytes())
-        numbers["time_s"].append(ping.time_s)
-        numbers["head_rad"].append(ping.head_rad)
-        numbers["true_pose"].append(_six(one.posed.true_pose))
-        numbers["estimated_pose"].append(_six(one.posed.pose))
-        assert one.posed.pose is not None
-        numbers["estimated_std"].append(one.posed.pose.std)
-        numbers["mount"].append(_six(ping.geometry.mount))
+        self._stack.write(one.posed)
         if self._scanning:
             self._turn.append(one)
             if len(self._turn) == len(head_angles(self._mounted.sonar)):
@@ -151,40 +127,23 @@ class _SonarWriter:
 
     def finish(self) -> int:
         """Write the archive; how many pings there were."""
-        self._images.close()
-        count, fan = len(self._numbers["time_s"]), self._geometry
-        if fan is not None:
-            shape = (count, fan.bins, fan.beams)
-            images = np.memmap(self._raw, np.float32, "r", shape=shape)
-            self._write_archive(images, fan)
-            if not self._scanning:
-                self._draw_some(images, fan)
-            del images
-        return count
+        images, fan = self._stack.finish(), self._stack.geometry
+        if images is None or fan is None:
+            return 0
+        if not self._scanning:
+            self._draw_some(images, fan)
+        return len(images)
 
     def close(self) -> None:
         """Leave no raw numbers behind."""
-        self._images.close()
-        self._raw.unlink(missing_ok=True)
-
-    def _write_archive(self, images: Array, fan: FanGeometry) -> None:
-        with (self._folder / f"{self._mounted.name}.npz").open("wb") as file:
-            np.savez_compressed(
-                file,
-                allow_pickle=False,
-                images=images,
-                **{name: np.array(values) for name, values in self._numbers.items()},
-                fan=np.array(
-                    [fan.azimuth_fov_rad, fan.elevation_fov_rad, fan.range_min_m, fan.range_max_m]
-                ),
-            )
+        self._stack.close()
 
     def _draw_some(self, images: Array, fan: FanGeometry) -> None:
         """Three pings in fan view."""
         count = len(images)
         for share in (1, 2, 3) if count > 3 else ():
             number = count * share // 4
-            time_s = self._numbers["time_s"][number]
+            time_s = self._stack.times_s[number]
             title = f"{self._mounted.name}, ping {number}, {time_s:.2f} s"
             picture = draw_fan(
                 Ping(np.asarray(images[number]), fan, time_s), title, 8.0, self._scale

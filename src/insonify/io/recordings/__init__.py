@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from insonify.errors import RecordingError
@@ -27,6 +28,7 @@ from insonify.io.recordings.recording import (
     with_poses,
 )
 from insonify.io.recordings.simulated import read_simulated
+from insonify.types import PosedPing
 
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
@@ -57,6 +59,18 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
     if reading.clock_offset_s != 0.0 and not recording.timed:
         raise RecordingError(f"{path}: it has no clock, so --clock-offset says nothing")
     return with_poses(recording, reading)
+
+
+def load_pings(path: Path | str, reading: Reading = Reading()) -> Iterator[PosedPing]:
+    """The pings of a recording, or of what ``simulate`` or ``fly`` left, one in memory at a time.
+
+    Each has its image ``ping.image``, (bins, beams) float32 in [0, 1] with the first beam to port;
+    ``ping.geometry``, what its pixels mean; ``ping.time_s``; and ``pose``, where the body was.
+
+    Raises:
+        RecordingError: It is missing, of no known format, or damaged beyond reading.
+    """
+    return iter(open_recording(Path(path), reading))
 
 
 def _head(path: Path) -> bytes | None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from insonify.errors import RecordingError, reason
 from insonify.io.archives import DAMAGE, Archive
-from insonify.io.pings import is_sweep, load_ping, load_sweep
+from insonify.io.pings import fan_figures, is_sweep, load_ping, load_sweep
 from insonify.io.recordings.recording import (
     Reading,
     Recording,
@@ -21,7 +22,8 @@ from insonify.io.recordings.recording import (
 )
 from insonify.types import FanGeometry, Ping, Pose, PosedPing, estimated
 
-PINGS = "pings"
+PINGS, STACK = "pings", "pings.npz"
+_FORMAT = "result of simulate"
 
 
 def read_simulated(path: Path, reading: Reading) -> Recording | None:
@@ -30,8 +32,12 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
     Raises:
         RecordingError: Its first ping, or turn of a scanning sonar, cannot be read.
     """
+    if not (path / "config.toml").is_file():
+        return None
+    if (path / STACK).is_file():
+        return replace(read_tour(path / STACK, reading), path=path, format=_FORMAT)
     files = sorted((path / PINGS).glob("*.npz"))
-    if not files or not (path / "config.toml").is_file():
+    if not files:
         return None
     turns = is_sweep(files[0])
     refuse_scale(path, reading)
@@ -57,11 +63,11 @@ def read_simulated(path: Path, reading: Reading) -> Recording | None:
         "poses": f"{count}, where they were simulated",
         "columns": reading.columns(port_first=True),
     }
-    return Recording(path, "result of simulate", count, True, facts, read, exact=True)
+    return Recording(path, _FORMAT, count, True, facts, read, exact=True)
 
 
-TOUR = {"fan", "head_rad", "estimated_pose", "true_pose"}
-"""Arrays that only archives of ``fly`` hold."""
+TOUR = {"images", "head_rad", "estimated_pose", "true_pose"}
+"""Arrays that only a `PingStack` holds, as ``fly`` leaves."""
 
 
 def read_tour(path: Path, reading: Reading) -> Recording:
@@ -72,7 +78,7 @@ def read_tour(path: Path, reading: Reading) -> Recording:
     """
     try:
         arrays = Archive(path, RecordingError)
-        azimuth, elevation, near, far = (float(value) for value in arrays["fan"])
+        azimuth, elevation, near, far = fan_figures(arrays)
         images, times = arrays["images"], arrays["time_s"]
         count, bins, beams = images.shape
         tables = {name: arrays[name] for name in ("estimated_pose", "true_pose", "mount")}
