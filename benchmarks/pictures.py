@@ -1,7 +1,11 @@
-"""The pictures in the README and docs: ``python -m benchmarks.pictures``."""
+"""The pictures in the README and docs: ``python -m benchmarks.pictures [--presets]``.
+
+``--presets`` makes only the sheet of all sonars at a real wreck's site.
+"""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import io
 import math
@@ -18,22 +22,24 @@ from scipy.ndimage import minimum_filter, uniform_filter
 
 from benchmarks.chromium import chromium, missing
 from insonify.imaging.dataset import Shots, dataset_config
-from insonify.imaging.route import Shot, Turn, simulate, simulation_config
+from insonify.imaging.route import Line, Profile, Shot, Turn, simulate, simulation_config
 from insonify.io.recordings import open_recording
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
-from insonify.report.fans import INK, draw_fan, fan_pixels, png
+from insonify.report.fans import INK, WATER, draw_fan, draw_waterfall, fan_pixels, png, scale_of
 from insonify.report.html import write_report
 from insonify.report.pictures import draw_decision, draw_slices
 from insonify.results.dataset import coco
+from insonify.scene import Scene
 from insonify.scene.experiments import bumpy_sphere, structures
 from insonify.scene.materials import Material
 from insonify.scene.named import named_scene
 from insonify.sonar import Sonar
 from insonify.sonar.camera import Camera
-from insonify.sonar.devices import SonarDevice
+from insonify.sonar.devices import Kind, SonarDevice, named_device, sonar_presets
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.physical import PhysicalSettings
+from insonify.sonar.scanning import sidescan_line, waterfall
 from insonify.types import Float32, Float64, Ping, Pose
 from insonify.view.page import Page
 from insonify.view.story import Story
@@ -95,6 +101,54 @@ def views() -> None:
             tiles.append(np.asarray(tile.resize((190, 380))))
     rows = [np.concatenate(tiles[k : k + 8], axis=1) for k in (0, 8)]
     Image.fromarray(np.concatenate(rows)).quantize(128).save(FOLDER / "dataset.png", optimize=True)
+
+
+def presets() -> None:
+    """Every preset at the real wreck's site, by the sonar equation, at its own range or 60 m."""
+    scene = named_scene(str(WORLDS / "sunken_ship_site.world"), [WORLDS.parent / "models"])
+    sheet = [_tile(name, scene) for name in sonar_presets()]
+    width, height, across = *sheet[0].size, 5
+    whole = Image.new("RGB", (across * width, math.ceil(len(sheet) / across) * height), WATER)
+    for k, tile in enumerate(sheet):
+        whole.paste(tile, (k % across * width, k // across * height))
+    whole.quantize(128).save(FOLDER / "presets.png", optimize=True)
+
+
+def _tile(name: str, scene: Scene) -> Image.Image:
+    """What a preset sees of the wreck, as its pictures show it."""
+    device = named_device(name)
+    reach_m = min(device.range_max_m, 60.0)
+    away_m = 0.0 if device.kind is Kind.PROFILING else 7.0 + 0.3 * reach_m
+    up_m = max(0.15 * reach_m, 10.0 if device.kind is Kind.PROFILING else 1.0)
+    below = scene.cast(np.array([-away_m, 0.0, -30.0]), np.array([[0, 0, -1]], np.float32))
+    at = [0.0, -away_m, 0.0, -30.0 - float(below.range_m[0]) + up_m, 0.0, 0.0, 0.0]
+    if device.kind is Kind.FORWARD_LOOKING:
+        at[5] = math.degrees(math.atan2(up_m, 0.5 * reach_m)) - device.tilt_deg
+    route = [at]
+    if device.kind is Kind.SIDESCAN:
+        route = [[k, -20.0 + 0.5 * k, -15.0, -52.0, 0.0, 0.0, 0.0] for k in range(80)]
+    sonar = {"preset": name, "range_max_m": reach_m}
+    config = simulation_config(
+        str(WORLDS / "sunken_ship_site.world"),
+        [{"model": "physical", "sonar": sonar, "route": route, "timed": False}],
+    )
+    scale, lines = scale_of("physical", device.display_gamma), []
+    for record in simulate(config, scene):
+        if isinstance(record, Line):
+            lines.append(sidescan_line(record.port.ping.image, record.starboard.ping.image))
+        elif isinstance(record, Turn):
+            drawn = draw_fan(record.deskewed, name, 4.2, scale, smooth=True)
+        else:
+            shot = record.shot if isinstance(record, Profile) else record
+            drawn = draw_fan(shot.posed.ping, name, 4.2, scale)
+    if lines:
+        along_m = 0.5 * np.arange(len(lines), dtype=np.float64)
+        drawn = draw_waterfall(waterfall(lines), device.geometry.bin_m, along_m, name, scale)
+    tile = Image.open(io.BytesIO(drawn)).convert("RGB")
+    tile.thumbnail((420, 330))
+    framed = Image.new("RGB", (430, 340), WATER)
+    framed.paste(tile, ((430 - tile.width) // 2, (340 - tile.height) // 2))
+    return framed
 
 
 def _when(browser: Any, selector: str) -> None:
@@ -239,6 +293,11 @@ def _show(axes: Axes, ping: Ping, title: str) -> None:
 def main() -> None:
     """Make all of them; those of recordings only where the data lies beside the project."""
     FOLDER.mkdir(parents=True, exist_ok=True)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--presets", action="store_true", help="only the sheet of all sonars")
+    if parser.parse_args().presets:
+        presets()
+        return
     scan()
     experiments()
     sphere()
@@ -249,8 +308,10 @@ def main() -> None:
     if RECORDINGS.is_dir():
         real()
         views()
+        presets()
     else:
-        print(f"{RECORDINGS} is not here; real-and-simulated.png and dataset.png stay as they are")
+        kept = "real-and-simulated.png, dataset.png and presets.png stay as they are"
+        print(f"{RECORDINGS} is not here; {kept}")
 
 
 if __name__ == "__main__":
