@@ -87,15 +87,18 @@ class Grid:
         return len(self.elevation)
 
 
-@lru_cache(maxsize=8)
 def even_grid(geometry: FanGeometry, across_beam: int, over_elevation: int) -> Grid:
     """The even patches of a fan, so many across each beam and over its elevation."""
     columns = geometry.beams * across_beam
-    step_az = geometry.azimuth_fov_rad / columns
-    step_el = geometry.elevation_fov_rad / over_elevation
-    azimuth = geometry.azimuth_fov_rad / 2 - (np.arange(columns, dtype=np.float64) + 0.5) * step_az
-    elevation = (np.arange(over_elevation, dtype=np.float64) + 0.5) * step_el
-    elevation -= geometry.elevation_fov_rad / 2
+    return _grid(geometry.azimuth_fov_rad, geometry.elevation_fov_rad, columns, over_elevation)
+
+
+@lru_cache(maxsize=8)
+def _grid(azimuth_fov_rad: float, elevation_fov_rad: float, columns: int, rows: int) -> Grid:
+    """One grid for all mounts of a fan: the heads of a scanning sonar have hundreds."""
+    step_az, step_el = azimuth_fov_rad / columns, elevation_fov_rad / rows
+    azimuth = azimuth_fov_rad / 2 - (np.arange(columns, dtype=np.float64) + 0.5) * step_az
+    elevation = (np.arange(rows, dtype=np.float64) + 0.5) * step_el - elevation_fov_rad / 2
     mesh = np.meshgrid(azimuth, elevation, indexing="ij")
     directions = directions_from_angles(mesh[0], mesh[1]).reshape(-1, 3).astype(np.float32)
     return Grid(directions, azimuth, elevation, step_az, step_el)
