@@ -15,9 +15,9 @@ from typing import Annotated, Any, NoReturn, TextIO, cast
 
 import typer
 
-from insonify.cli.printing import say, tell
+from insonify.cli.printing import ReaderGoneError, say, tell
 from insonify.cli.progress import show_log
-from insonify.cli.root import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_INTERRUPTED, Interrupted, app
+from insonify.cli.root import EXIT_BAD_INPUT, EXIT_BROKEN_PIPE, EXIT_INTERRUPTED, Interrupted, app
 from insonify.errors import InsonifyError, reason
 from insonify.memory import free_bytes
 
@@ -117,16 +117,18 @@ def main() -> None:
     if len(sys.argv) == 1:
         app()  # shows the help
     try:
-        sys.exit(app(standalone_mode=False, prog_name="insonify"))
+        code = app(standalone_mode=False, prog_name="insonify")
+        sys.stdout.flush()
+        sys.exit(code)
     except _UsageError as err:
         _end(_usage(err))
     except InsonifyError as err:
         _end(str(err))
     except Interrupted:
         _end("interrupted; nothing was written", EXIT_INTERRUPTED)
-    except BrokenPipeError:  # who reads what is printed has gone; nothing more can be said to it
+    except (ReaderGoneError, BrokenPipeError):  # nothing more can be said to it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(EXIT_FAILED)
+        sys.exit(EXIT_BROKEN_PIPE)
     except (OSError, MemoryError, UnicodeEncodeError) as err:
         _end(_refused(err))
 

@@ -17,20 +17,31 @@ MOST_CHARACTERS = 1000
 """Of a message: of a longer one the middle is left out."""
 
 
+class ReaderGoneError(Exception):
+    """Who reads what is printed has gone; it is not the system's error, which typer would take."""
+
+
+def _out(text: str, *, flush: bool = False) -> None:
+    try:
+        print(text, flush=flush)
+    except BrokenPipeError as err:
+        raise ReaderGoneError from err
+
+
 def say(text: str, *, flush: bool = False) -> None:
     """A result of one line, on stdout."""
-    print(plain(text), flush=flush)
+    _out(plain(text), flush=flush)
 
 
 def say_lines(text: str) -> None:
     """A document of ours, on stdout."""
     for line in text.split("\n"):
-        print(plain(line))
+        _out(plain(line))
 
 
 def say_json(told: Any, *, indent: int | None = 2, flush: bool = False) -> None:
     """One JSON document, on stdout; JSON escapes control characters itself."""
-    print(json.dumps(told, indent=indent, default=str), flush=flush)
+    _out(json.dumps(told, indent=indent, default=str), flush=flush)
 
 
 def tell(text: str, *, flush: bool = False) -> None:
@@ -49,6 +60,9 @@ def console(*, stderr: bool = False) -> Console:
     class _Plain(Console):
         def render_str(self, text: str, **more: Any) -> Text:
             return super().render_str(plain(text), **(more | {"markup": False, "emoji": False}))
+
+        def on_broken_pipe(self) -> None:
+            raise ReaderGoneError
 
     return _Plain(stderr=stderr)
 

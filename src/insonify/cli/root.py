@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from insonify.cli.helping import Commands
 from insonify.cli.printing import tell
 from insonify.errors import ConfigError, GeometryError
 
@@ -19,13 +20,14 @@ if TYPE_CHECKING:
     from insonify.io.datum import Datum
     from insonify.mission.setup import Config
 
-EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 130, 141
 
 app = typer.Typer(
+    cls=Commands,
     help="Simulate imaging sonar, map with it, and decide where to scan next.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
+    rich_markup_mode="rich",
 )
 
 SetOption = Annotated[

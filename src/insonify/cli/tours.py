@@ -67,7 +67,7 @@ def fly(
     navigation: NavigationOption = None,
     sonars: Annotated[
         str | None,
-        typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [[sonars]]."),
+        typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [\\[sonars]]."),
     ] = None,
     range_m: RangeOption = None,
     mcap: McapOption = False,
