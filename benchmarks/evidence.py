@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from insonify.mission.statistics import height_at, interval
 from insonify.mission.tables import HEADLINE, areas
+from insonify.report.fans import png
 from insonify.results.campaign import load_campaign
 
 SCORES = (HEADLINE, "surface_exact_f1", "surface_within_one_voxel_f1", "ghosts")
@@ -30,9 +32,13 @@ def main() -> None:
     """Load, and print one table after another."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="of campaigns")
-    campaigns = [load_campaign(folder) for folder in parser.parse_args().folders]
+    parser.add_argument("--picture", type=Path, help="PNG of the mean curves")
+    given = parser.parse_args()
+    campaigns = [load_campaign(folder) for folder in given.folders]
     runs = pd.concat([campaign.runs for campaign in campaigns], ignore_index=True)
     curves = pd.concat([campaign.curves for campaign in campaigns], ignore_index=True)
+    if given.picture is not None:
+        given.picture.write_bytes(_picture(curves))
     for _, group in runs.groupby("navigation", sort=False):
         _means(group)
     for mapper, own in curves.groupby("mapper", sort=False):
@@ -42,6 +48,26 @@ def main() -> None:
         for planner in own["planner"].unique():
             if planner != BEST:
                 print(f"| {planner} | " + " | ".join(_against(own, planner)) + " |")
+
+
+def _picture(curves: Any) -> bytes:
+    """F1 against the path flown, a panel for each mapper: the mean over objects and seeds."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    panels = figure.subplots(1, curves["mapper"].nunique(), sharey=True, squeeze=False)[0]
+    path_m = np.linspace(0.0, 150.0, 301)
+    for axes, (mapper, own) in zip(panels, curves.groupby("mapper", sort=False), strict=True):
+        for planner, flown in own.groupby("planner", sort=False):
+            heights = [
+                height_at(run["path_m"].to_numpy(float), run[HEADLINE].to_numpy(float), path_m)
+                for _, run in flown.groupby(["scenario", "seed"], sort=False)
+            ]
+            width = 2.5 if planner == BEST else 1.3
+            axes.plot(path_m, np.mean(heights, axis=0), lw=width, label=planner)
+        axes.set(title=mapper, xlabel="path flown, m", ylim=(0.0, 0.9))
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("F1, solid, mean of eight objects")
+    panels[-1].legend(fontsize=8, loc="lower right")
+    return png(figure)
 
 
 def _means(runs: Any) -> None:
