@@ -15,7 +15,7 @@ from insonify.scene.seabed import procedural_seabed
 from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.histogram import EchoHistogram
-from insonify.sonar.pattern import array_pattern, leakage
+from insonify.sonar.pattern import array_pattern, heard_by_all, leakage
 from insonify.sonar.physical import (
     PhysicalSettings,
     Receiver,
@@ -284,6 +284,15 @@ def test_beam_pattern_has_its_width_and_its_side_lobes(taper: float, lobe_db: fl
     levels = 10 * np.log10(array_pattern(angles, beam_rad, taper) + 1e-30)
     first_null = int(np.flatnonzero(np.diff(levels) > 0)[0])
     assert levels[first_null:].max() == pytest.approx(lobe_db, abs=0.7)
+
+
+@pytest.mark.parametrize("beams", [1, 2, 3, 7, 96, 131])
+@pytest.mark.parametrize("columns", [0, 1, 300])
+def test_what_all_beams_hear_is_the_product_of_matrices(beams: int, columns: int) -> None:
+    share = leakage(beams, math.radians(0.5), math.radians(1.0), 0.3)
+    values = np.random.default_rng(0).standard_normal((beams, columns), dtype=np.float32)
+    exact = share.astype(float) @ values.astype(float)
+    np.testing.assert_allclose(heard_by_all(share, values), exact, atol=2e-6)
 
 
 def test_a_strong_target_leaks_into_other_beams_and_energy_is_kept() -> None:

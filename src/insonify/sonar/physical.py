@@ -28,7 +28,7 @@ from insonify.scene.materials import material_named
 from insonify.sonar.devices import SonarDevice
 from insonify.sonar.draws import draw_row, gamma_table, normal_table, variate
 from insonify.sonar.histogram import EchoHistogram
-from insonify.sonar.pattern import leakage
+from insonify.sonar.pattern import heard_by_all, leakage
 from insonify.sonar.speckle import SpeckleField
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Float64, Pose
@@ -221,8 +221,8 @@ def form_physical(
     steady = power if settings.speckle is Speckle.NONE else np.zeros((beams, 0), np.float32)
     if settings.side_lobes and beams > 1:
         heard = leakage(beams, geometry.beam_rad, beam_rad, settings.taper)
-        pressure = (heard @ pressure.reshape(beams, 2 * bins)).reshape(beams, 2, bins)
-        steady = heard**2 @ steady
+        pressure = heard_by_all(heard, pressure.reshape(beams, 2 * bins)).reshape(beams, 2, bins)
+        steady = heard_by_all(heard**2, steady)
     ripple_db = settings.ripple_db * np.random.default_rng(0).standard_normal(beams)
     image = np.empty((beams, bins), np.float32)
     _show(
