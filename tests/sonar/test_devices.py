@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 
 from insonify.errors import ConfigError
-from insonify.sonar.devices import SonarDevice, named_device, sonar_presets
+from insonify.sonar.devices import SonarDevice, named_device, resolved_device, sonar_presets
 
 
 def test_defaults_are_table_1_of_the_paper() -> None:
@@ -38,6 +38,8 @@ def test_an_unknown_preset_is_told_where_the_known_ones_are() -> None:
         {"range_min_m": 5.0, "range_max_m": 5.0},
         {"range_max_m": float("nan")},
         {"colour": "red"},
+        {"reach_m": 1e-3},
+        {"display_gamma": 0.01},
         {"kind": "scanning", "beams": 2},
         {"kind": "scanning", "beams": 1, "step_deg": 20.0, "sector_deg": 10.0},
     ],
@@ -45,6 +47,13 @@ def test_an_unknown_preset_is_told_where_the_known_ones_are() -> None:
 def test_impossible_devices_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ValidationError):
         SonarDevice.model_validate(bad)
+
+
+def test_a_preset_reaches_as_far_whatever_range_is_set() -> None:
+    near = resolved_device({"preset": "gemini-720im", "range_max_m": 10.0})
+    assert (near["reach_m"], near["range_max_m"]) == (50.0, 10.0)
+    own = resolved_device({"preset": "gemini-720im", "reach_m": 30.0})
+    assert own["reach_m"] == 30.0
 
 
 def test_what_is_not_confirmed_is_a_field_of_the_device() -> None:

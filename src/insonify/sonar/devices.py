@@ -18,6 +18,7 @@ from insonify.types import FanGeometry, Pose
 
 WORLDS = (".sdf", ".world", ".scn")
 """Files of simulated worlds, which may describe sonars (`insonify.sonar.described`)."""
+LEAST_REACH_M = 0.1
 _ABOUT = ("source", "unconfirmed")
 
 
@@ -65,7 +66,7 @@ class SonarDevice(Settings):
         30.0, ge=0, le=200, description="from sand at 70 % of the reach to full scale (physical)"
     )
     display_gamma: float = Field(
-        0.4, gt=0, le=1, description="the power of pressure that is shown (physical)"
+        0.4, ge=0.05, le=1, description="the power of pressure that is shown (physical)"
     )
     tilt_deg: float = Field(30.0, ge=-90, le=90, description="mounted looking down by this angle")
     mount_m: tuple[float, float, float] = Field(
@@ -91,6 +92,10 @@ class SonarDevice(Settings):
         if self.range_max_m <= self.range_min_m:
             raise ValueError(
                 f"range_max_m ({self.range_max_m:g}) must exceed range_min_m ({self.range_min_m:g})"
+            )
+        if 0.0 < self.reach_m < LEAST_REACH_M:
+            raise ValueError(
+                f"reach_m is {LEAST_REACH_M:g} or more, or 0 for range_max_m, not {self.reach_m:g}"
             )
         if self.beams > 1 and self.kind in {Kind.SCANNING, Kind.SIDESCAN}:
             raise ValueError(f"a {self.kind} sonar has one beam on each head, not {self.beams}")
@@ -159,8 +164,9 @@ def resolved_device(told: Any, tilt_deg: float = 0.0) -> Any:
     own = dict(told)
     preset = own.pop("preset", None)
     below: Table = {} if preset is None else _preset_table(str(preset))
-    if "range_max_m" in below:  # it reaches as far, whatever range is set
-        below = {"reach_m": below["range_max_m"]} | below
+    own_range_m = below.get("range_max_m")
+    if isinstance(own_range_m, int | float) and own_range_m >= LEAST_REACH_M:
+        below = {"reach_m": own_range_m} | below  # it reaches as far, whatever range is set
     return {"tilt_deg": tilt_deg} | below | own
 
 

@@ -25,7 +25,7 @@ from pydantic import Field
 from insonify.config.settings import Settings
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene.materials import material_named
-from insonify.sonar.devices import SonarDevice
+from insonify.sonar.devices import LEAST_REACH_M, SonarDevice
 from insonify.sonar.draws import draw_row, gamma_table, normal_table, variate
 from insonify.sonar.histogram import EchoHistogram
 from insonify.sonar.pattern import heard_by_all, leakage
@@ -110,7 +110,7 @@ class Receiver:
     @property
     def far_m(self) -> float:
         """Where sand is ``snr_db`` over noise, and the gain stops to rise."""
-        return FAR * (self.device.reach_m or self.device.range_max_m)
+        return FAR * max(self.device.reach_m or self.device.range_max_m, LEAST_REACH_M)
 
     @property
     def volume(self) -> float:
