@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
-from scipy.ndimage import minimum_filter, uniform_filter
 
 from benchmarks.chromium import chromium, missing
+from benchmarks.realism import RECORDINGS, TWINS, twin
 from insonify.imaging.dataset import Shots, dataset_config
 from insonify.imaging.route import Line, Profile, Shot, Turn, simulate, simulation_config
 from insonify.io.recordings import open_recording
@@ -40,14 +40,14 @@ from insonify.sonar.devices import Kind, SonarDevice, named_device, sonar_preset
 from insonify.sonar.formation import ImageSettings
 from insonify.sonar.physical import PhysicalSettings
 from insonify.sonar.scanning import sidescan_line, waterfall
-from insonify.types import Float32, Float64, Ping, Pose
+from insonify.types import Float64, Ping, Pose
 from insonify.view.page import Page
 from insonify.view.story import Story
 
 FOLDER = Path("docs/images")
 _ARROW_LEFT = "\ue012"
 """What WebDriver calls the key."""
-RECORDINGS, WORLDS = Path("../shared/data/recordings"), Path("../shared/data/worlds")
+WORLDS = Path("../shared/data/worlds")
 
 
 def scan() -> None:
@@ -221,28 +221,13 @@ def sphere() -> None:
 
 
 def real() -> None:
-    """Frames of an ARIS and an Oculus beside simulated ones, with histograms."""
-    aris = next(iter(open_recording(RECORDINGS / "sample.aris"))).ping
-    oculus = next(iter(open_recording(RECORDINGS / "oculus_one_ping_8bit.raw"))).ping
+    """Frames of an ARIS and an Oculus beside simulated ones of the same fans, with histograms."""
     figure = Figure(figsize=(12.5, 8.0), layout="constrained")
     panels = figure.subplots(2, 4, width_ratios=(1, 1, 1, 1.2))
-    for row, name, recorded, mhz in (
-        (panels[0], "ARIS 1200", aris, 1.2),
-        (panels[1], "Oculus M1200d", oculus, 2.1),
-    ):
-        geometry = recorded.geometry
-        device = SonarDevice(
-            name=name,
-            azimuth_fov_deg=math.degrees(geometry.azimuth_fov_rad),
-            elevation_fov_deg=14 if mhz < 2 else 12,
-            beams=geometry.beams,
-            bins=geometry.bins,
-            range_min_m=geometry.range_min_m,
-            range_max_m=geometry.range_max_m,
-            frequency_khz=1000 * mhz,
-            tilt_deg=0,
-        )
-        far = geometry.range_max_m
+    for row, (name, file, preset, known) in zip(panels, TWINS, strict=True):
+        recorded = next(iter(open_recording(RECORDINGS / file))).ping
+        device = twin(preset, recorded.geometry, **known)
+        far = recorded.geometry.range_max_m
         pose = Pose(9.0 - 0.55 * far, 0.0, -20.0 + 0.12 * far, pitch_rad=math.radians(8))
         scene = structures()
         images = [
@@ -253,34 +238,12 @@ def real() -> None:
         for axes, (title, ping) in zip(row[:3], images, strict=True):
             _show(axes, ping, title)
         for title, ping in images:
-            print(f"{name}: {title}: {_statistics(ping.image)}")
             counts, edges = np.histogram(ping.image, 64, (0, 1), density=True)
             middles: Float64 = (edges[1:] + edges[:-1]) / 2
             row[3].semilogy(middles, np.maximum(counts, 1e-3), label=title)
         row[3].set(xlabel="intensity", ylabel="density of pixels", ylim=(5e-3, 100))
         row[3].legend(fontsize=7)
     (FOLDER / "real-and-simulated.png").write_bytes(png(figure))
-
-
-def _statistics(image: Float32) -> str:
-    """Share of black pixels, median of the others, and how alike neighbours are there.
-
-    Neighbours are compared after taking away the mean of 31 bins x 5 beams, where all of it echoes.
-    """
-    black = float((image == 0).mean())
-    heard = minimum_filter((image > 0).astype(np.uint8), (31, 5)) > 0
-    rest = image.astype(np.float64) - uniform_filter(image.astype(np.float64), (31, 5))
-    along, across = heard[1:] & heard[:-1], heard[:, 1:] & heard[:, :-1]
-    power = float(np.mean(rest[heard] ** 2)) if heard.any() else math.nan
-    by_bin = float(np.mean((rest[1:] * rest[:-1])[along])) / power if along.any() else math.nan
-    by_beam = (
-        float(np.mean((rest[:, 1:] * rest[:, :-1])[across])) / power if across.any() else math.nan
-    )
-    median = float(np.median(image[image > 0]))
-    return (
-        f"{black:.1%} black, median of the others {median:.2f}, correlation with the next bin "
-        f"{by_bin:.2f}, with the next beam {by_beam:.2f}"
-    )
 
 
 def _show(axes: Axes, ping: Ping, title: str) -> None:

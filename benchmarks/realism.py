@@ -31,6 +31,11 @@ from insonify.types import FanGeometry, Float32, Float64, Pose
 
 RECORDINGS = Path("../shared/data/recordings")
 FRAMES = 8
+TWINS: tuple[tuple[str, str, str, dict[str, float]], ...] = (
+    ("ARIS", "sample.aris", "aris-1200", {"beamwidth_deg": 0.3}),  # its lens for half the fan
+    ("Oculus", "oculus_three_pings_8bit.raw", "oculus-m1200d-2100khz", {}),
+)
+"""Recordings, and what they were made with: a preset, and what is known besides."""
 WINDOW = (31, 7)
 """Bins and beams over which an image's local mean is taken."""
 EVEN = 0.25
@@ -139,10 +144,7 @@ def simulated(device: SonarDevice, physical: PhysicalSettings | None) -> list[Fl
 
 def table(folder: Path) -> Iterator[tuple[str, Figures]]:
     """The rows: recorded, physical and cerqueira, for each device."""
-    for name, file, preset, known in (
-        ("ARIS", "sample.aris", "aris-1200", {"beamwidth_deg": 0.3}),  # its lens for half the fan
-        ("Oculus", "oculus_three_pings_8bit.raw", "oculus-m1200d-2100khz", {}),
-    ):
+    for name, file, preset, known in TWINS:
         recorded = [posed.ping for posed in islice(open_recording(folder / file), FRAMES)]
         device = twin(preset, recorded[0].geometry, **known)
         yield f"{name}, recorded", figures([ping.image for ping in recorded])
