@@ -71,6 +71,8 @@ def test_layers_win_in_order_and_a_sonar_may_be_named() -> None:
     [
         ("mapping.voxel=0.2", "mapping.voxel_m"),
         ("nonsense=1", "no setting 'nonsense'"),
+        ("voxel_m=0.2", "did you mean 'mapping.voxel_m'"),
+        ("image.model=physical", "did you mean 'model'"),
         ("mapping.voxel_m=-1", "greater than or equal to 0.0001, not -1"),
         ("mapping.voxel_m=nan", "mapping.voxel_m"),
         ("sonar.beams=0", "sonar.beams"),

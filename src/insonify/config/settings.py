@@ -99,9 +99,15 @@ def all_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str], see: str = "the docs") -> str:
-    """The end of a message about an unknown name: the nearest known one, or all if they are few."""
+    """The end of a message about an unknown name: the nearest known one, or all if they are few.
+
+    One of the same last part, in another table or in none, is the nearest.
+    """
     names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1)
+    same = [name for name in names if name.split(".")[-1] == word.split(".")[-1]]
+    close = difflib.get_close_matches(word, same, n=1, cutoff=0.0) or difflib.get_close_matches(
+        word, names, n=1
+    )
     if close:
         return f"; did you mean {close[0]!r}?"
     return f"; choose one of {', '.join(names)}" if len(names) < 12 else f"; see {see}"
