@@ -59,7 +59,7 @@ def test_without_embree_a_recording_is_mapped_planned_from_and_exported(recordin
     assert json.loads(mapped.stdout)["occupied_voxels"] > 0
     assert (folder / "m/report.html").is_file()
     for words in (
-        ["plan", "m", "--from", "0 0 -2 0", "--out", "p"],
+        ["plan", "m", "--from", "0 0 -2 0", "--clearance", "0", "--out", "p"],
         ["export", "m", "m.bt"],
         ["info", "dive.npz"],
         ["config", "tetrapod"],

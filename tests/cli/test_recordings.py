@@ -68,11 +68,17 @@ def test_map_writes_everything(folder: Path) -> None:
     assert load_map(folder / "m/map.npz").voxel_m == 0.2
     assert named_device(str(folder / "m/sonar.toml")).tilt_deg == pytest.approx(15.0)
     pose = ["--from", "0 0 0 90", "--datum", "60 10", "--set", "entropy.termination=0"]
-    planned = _run("plan", "m", *pose, "--out", "p", "--json", cwd=folder)
+    refused = _run("plan", "m", *pose, "--out", "p", cwd=folder)  # from within what is mapped
+    assert refused.returncode == 2 and not (folder / "p").exists()
+    assert "0.4 m is the least" in refused.stderr
+    planned = _run("plan", "m", *pose, "--clearance", "0", "--out", "p", "--json", cwd=folder)
     assert planned.returncode == 0, planned.stderr
     document = json.loads(planned.stdout)
     assert document["stop"] is None
     assert set(document["files"]) < {p.name for p in (folder / "p").iterdir()}
+    never = ["--set", "entropy.termination=1"]
+    enough = _run("plan", "m", *pose[:4], *never, "--out", "q", cwd=folder)
+    assert enough.returncode == 3 and not (folder / "q").exists(), enough.stderr
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ PANELS = {
     "Mapping": "mapper voxel threshold region",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic",
-    "Vehicle": "vehicle current navigation real_time",
+    "Vehicle": "clearance vehicle current navigation real_time",
     "Output": "out force as_json live mcap picture every quiet port host workers scheduler",
 }
 """Options by the names of their parameters; others are in typer's own panel."""

@@ -20,6 +20,9 @@ from insonify.cli.root import (
 )
 from insonify.errors import ConfigError, GeometryError
 
+EXIT_NOTHING = 3
+"""There is nothing that is worth flying."""
+
 if TYPE_CHECKING:
     from insonify.io.datum import Datum
     from insonify.mapping.voxels import VoxelMap
@@ -61,6 +64,14 @@ def plan(
     ] = None,
     region: RegionOption = None,
     datum: DatumOption = None,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            metavar="M",
+            help="Least, to what is mapped. Default: the scan's, or 0.4.",
+        ),
+    ] = None,
     waypoints: Annotated[int, typer.Option(min=1, max=10000, help="Of the scan.")] = 40,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the path.")] = Path("plan"),
     settings: SetOption = None,
@@ -84,7 +95,8 @@ def plan(
     if region is not None:
         box = box_from_text(region).relative_to(origin_m)
     decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
-    _write(mapper.voxels, decision, pose, box, place, out, force=force, as_json=as_json)
+    least_m = _least_clearance_m(file) if clearance is None else clearance
+    _write(mapper.voxels, decision, pose, box, place, least_m, out, force=force, as_json=as_json)
 
 
 def _write(
@@ -93,20 +105,27 @@ def _write(
     pose: Pose,
     region: Box,
     place: Datum | None,
+    least_m: float,
     out: Path,
     *,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Write a decision's path, and say what came of it."""
+    """Write a decision's path, unless it comes too near, and say what came of it."""
     from insonify.io.folders import result_folder
     from insonify.io.plans import save_plan
     from insonify.planning.once import clearance_m
 
     document = _describe(decision, pose, region, voxels.origin_m)
-    with result_folder(out, force=force) as folder:
-        if decision.path is not None:
-            document["clearance_m"] = round(clearance_m(voxels, pose, decision.path), 3)
+    if decision.path is not None:
+        near_m = clearance_m(voxels, pose, decision.path)
+        if near_m < least_m:
+            raise GeometryError(
+                f"the way there or the scan comes within {near_m:.2f} m of an occupied voxel, and "
+                f"{least_m:g} m is the least; start elsewhere (--from), or allow it (--clearance)"
+            )
+        document["clearance_m"] = round(near_m, 3)
+        with result_folder(out, force=force) as folder:
             document["files"] = save_plan(decision.path, folder.scratch, place, voxels.origin_m)
             (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
     if as_json:
@@ -115,7 +134,7 @@ def _write(
         say_listing(["what", "value"], [[key, str(value)] for key, value in document.items()])
     if decision.path is None:
         tell("insonify: no scan is worth flying; no path was written")
-        return
+        raise typer.Exit(EXIT_NOTHING)
     if document["clearance_m"] < 1.0:
         tell(
             f"insonify: warning: the way there or the scan comes within "
@@ -124,6 +143,14 @@ def _write(
     if place is None:
         tell("insonify: no --datum, so no GeoJSON and no QGroundControl plan")
     tell(f"Path: {folder.target}")
+
+
+def _least_clearance_m(file: Path) -> float:
+    """The clearance of the scan that made a map, or that which scans have by default."""
+    from insonify.mission.setup import SurveySettings
+
+    config = _scan_config(file)
+    return (SurveySettings() if config is None else config.survey).clearance_m
 
 
 def _pose(text: str) -> Pose:

@@ -192,7 +192,7 @@ def test_the_commands_speak_of_the_world(tmp_path: Path) -> None:
         result = json.loads(done.stdout)
         assert result["region_m"] == [[x, y - 3, -8.0], [x + 9, y + 3, -2.0]]
         assert run(app, ["export", str(out), str(tmp_path / f"{name}.bt")]).exit_code == 0
-        done = run(app, ["plan", str(out), "--from", f"{x} {y} -5 0", "--out",
+        done = run(app, ["plan", str(out), "--from", f"{x} {y} -5 0", "--clearance", "0", "--out",
                          str(tmp_path / f"plan-{name}"), "--set", "entropy.termination=0",
                          "--datum", "50 9", "--json"])  # fmt: skip
         told[name] = json.loads(done.stdout)
