@@ -1,8 +1,8 @@
 """The tables of docs/evidence.md from the campaigns that were flown for them.
 
 ``python -m benchmarks.evidence insonify-runs/evidence insonify-runs/evidence-entropy`` prints
-means over the seeds of each object's runs, and compares `rosette` with every other planner, seed by
-seed with the same mapper, at equal pings and at equal path: both curves are read where the shorter
+means over the seeds of each object's runs, and compares `rosette`, or ``--best``, with every other
+planner, seed by seed with the same mapper, at equal pings and at equal path: both curves are read where the shorter
 of the two runs ends.
 """
 
@@ -24,7 +24,7 @@ from insonify.report.fans import png
 from insonify.results.campaign import load_campaign
 
 SCORES = (HEADLINE, "surface_exact_f1", "surface_within_one_voxel_f1", "ghosts")
-BEST, SHARE = "rosette", 0.95
+SHARE = 0.95
 _PAIR = ["scenario", "mapper", "seed"]
 
 
@@ -32,25 +32,30 @@ def main() -> None:
     """Load, and print one table after another."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="of campaigns")
+    parser.add_argument(
+        "--best", default="rosette", help="the planner that others are held against"
+    )
     parser.add_argument("--picture", type=Path, help="PNG of the mean curves")
     given = parser.parse_args()
     campaigns = [load_campaign(folder) for folder in given.folders]
     runs = pd.concat([campaign.runs for campaign in campaigns], ignore_index=True)
     curves = pd.concat([campaign.curves for campaign in campaigns], ignore_index=True)
     if given.picture is not None:
-        given.picture.write_bytes(_picture(curves))
+        given.picture.write_bytes(_picture(curves, given.best))
     for _, group in runs.groupby("navigation", sort=False):
         _means(group)
     for mapper, own in curves.groupby("mapper", sort=False):
-        print(f"\n{BEST} less others, `{mapper}`: mean over objects and seeds, worst object, won")
+        print(f"\n{given.best} less others, `{mapper}`: mean over objects and seeds, worst, won")
         print("\n| | equal pings | equal path | path to 95 %, of theirs | area along path |")
         print("|---|---|---|---|---|")
         for planner in own["planner"].unique():
-            if planner != BEST:
-                print(f"| {planner} | " + " | ".join(_against(own, planner)) + " |")
+            if planner != given.best:
+                pairs = list(_pairs(own, given.best, planner))
+                print(f"| {planner} | " + " | ".join(_against(own, pairs)) + " |")
+        _areas(own)
 
 
-def _picture(curves: Any) -> bytes:
+def _picture(curves: Any, best: str) -> bytes:
     """F1 against the path flown, a panel for each mapper: the mean over objects and seeds."""
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     panels = figure.subplots(1, curves["mapper"].nunique(), sharey=True, squeeze=False)[0]
@@ -61,7 +66,7 @@ def _picture(curves: Any) -> bytes:
                 height_at(run["path_m"].to_numpy(float), run[HEADLINE].to_numpy(float), path_m)
                 for _, run in flown.groupby(["scenario", "seed"], sort=False)
             ]
-            width = 2.5 if planner == BEST else 1.3
+            width = 2.5 if planner == best else 1.3
             axes.plot(path_m, np.mean(heights, axis=0), lw=width, label=planner)
         axes.set(title=mapper, xlabel="path flown, m", ylim=(0.0, 0.9))
         axes.grid(alpha=0.3)
@@ -91,26 +96,40 @@ def _row(name: str, values: Sequence[Any]) -> str:
     return f"| {name} | " + " | ".join(told) + " |"
 
 
-def _against(curves: Any, planner: str) -> Iterator[str]:
-    """`BEST` and another planner with one mapper, in four ways."""
-    for along in ("pings", "path_m"):
-        yield _differences(curves, planner, partial(_at_equal, along))
-    yield _ratios(curves, planner)
+def _areas(curves: Any) -> None:
+    """How much was known how early, by scenario: the mean height of curves along the path."""
     mean = areas(curves)
-    yield _differences(curves, planner, lambda one, other: mean[_run(one)] - mean[_run(other)])
+    runs = curves.drop_duplicates("run").assign(area=lambda run: run["run"].map(mean))
+    table = runs.pivot_table("area", "scenario", "planner", sort=False)
+    print("\n| mean height along path | " + " | ".join(table.columns) + " |")
+    print("|---|" + "---|" * len(table.columns))
+    for scenario, row in table.iterrows():
+        print(_row(str(scenario), list(row)))
 
 
-def _pairs(curves: Any, planner: str) -> Iterator[tuple[str, Any, Any]]:
+Pairs = list[tuple[str, Any, Any]]
+
+
+def _against(curves: Any, pairs: Pairs) -> Iterator[str]:
+    """The best planner and another with one mapper, in four ways."""
+    for along in ("pings", "path_m"):
+        yield _differences(pairs, partial(_at_equal, along))
+    yield _ratios(pairs)
+    mean = areas(curves)
+    yield _differences(pairs, lambda one, other: mean[_run(one)] - mean[_run(other)])
+
+
+def _pairs(curves: Any, best: str, planner: str) -> Iterator[tuple[str, Any, Any]]:
     """Scenario, and the moments of both planners' runs with the same seed."""
     for (scenario, _, _), both in curves.groupby(_PAIR, sort=False):
-        one, other = both[both["planner"] == BEST], both[both["planner"] == planner]
+        one, other = both[both["planner"] == best], both[both["planner"] == planner]
         if len(one) and len(other):
             yield str(scenario), one, other
 
 
-def _differences(curves: Any, planner: str, compare: Callable[[Any, Any], float]) -> str:
+def _differences(pairs: Pairs, compare: Callable[[Any, Any], float]) -> str:
     found: dict[str, list[float]] = {}
-    for scenario, one, other in _pairs(curves, planner):
+    for scenario, one, other in pairs:
         found.setdefault(scenario, []).append(compare(one, other))
     if not found:
         return ""
@@ -134,13 +153,13 @@ def _at_equal(along: str, one: Any, other: Any) -> float:
     return float(heights[0] - heights[1])
 
 
-def _ratios(curves: Any, planner: str) -> str:
+def _ratios(pairs: Pairs) -> str:
     """How much of the other's path it takes to 95 % of the better end, and how often half of it.
 
     Where the other never gets there, any way is shorter.
     """
     ratios = []
-    for _, one, other in _pairs(curves, planner):
+    for _, one, other in pairs:
         goal = SHARE * max(one[HEADLINE].iloc[-1], other[HEADLINE].iloc[-1])
         ours, theirs = _path_to(one, goal), _path_to(other, goal)
         ratios.append(ours / theirs if np.isfinite(ours) else np.inf)
