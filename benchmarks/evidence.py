@@ -2,8 +2,8 @@
 
 ``python -m benchmarks.evidence insonify-runs/evidence insonify-runs/evidence-entropy`` prints
 means over the seeds of each object's runs, and compares `rosette`, or ``--best``, with every other
-planner, seed by seed with the same mapper, at equal pings and at equal path: both curves are read where the shorter
-of the two runs ends.
+planner, seed by seed with the same mapper, at equal pings and at equal path: both curves are read
+where the shorter of the two runs ends.
 """
 
 from __future__ import annotations
