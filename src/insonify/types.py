@@ -299,7 +299,8 @@ class StopReason(StrEnum):
 
 _SENTENCES = {
     StopReason.NOT_WORTH_IT: (
-        "No candidate pose would resolve more than TC of the largest cluster's entropy."
+        "No further scan pays: no pose would settle enough of the largest undecided cluster "
+        "(entropy.termination)."
     ),
     StopReason.NO_CLUSTER: "No cluster of undecided voxels is left in the designated area.",
     StopReason.LITTLE_LEFT: "Another look at what was found would tell too little.",
