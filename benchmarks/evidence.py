@@ -70,7 +70,7 @@ def _picture(curves: Any, best: str) -> bytes:
             axes.plot(path_m, np.mean(heights, axis=0), lw=width, label=planner)
         axes.set(title=mapper, xlabel="path flown, m", ylim=(0.0, 0.9))
         axes.grid(alpha=0.3)
-    panels[0].set_ylabel("F1, solid, mean of eight objects")
+    panels[0].set_ylabel("F1, solid, mean over objects and seeds")
     panels[-1].legend(fontsize=8, loc="lower right")
     return png(figure)
 

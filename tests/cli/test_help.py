@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -41,7 +39,7 @@ def test_every_option_has_its_panel() -> None:
         if param.param_type_name == "option"
     }
     assert asked - known <= {"command", "schema"}
-    assert set(CHOICES) <= asked
+    assert known | set(CHOICES) <= asked
 
 
 def test_defaults_are_those_of_the_settings() -> None:
@@ -66,13 +64,3 @@ def test_examples_can_be_typed(line: str) -> None:
     program, name, *words = shlex.split(line)
     assert program == "insonify"
     GROUP.commands[name].make_context(name, words)
-
-
-def test_a_reader_that_goes_away_is_no_failure() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "insonify", "config", "tetrapod"], stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        process.stdout.close()
-        process.wait()
-    assert process.returncode in (0, 141)

@@ -284,3 +284,4 @@ def test_who_stops_reading_is_not_shown_a_trace() -> None:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
+    assert process.returncode == 141  # as of one that the signal ends, and no failure of ours

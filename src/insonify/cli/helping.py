@@ -7,7 +7,7 @@ from typing import Any
 from typer.core import TyperGroup
 
 PANELS = {
-    "What": "scenario world names planner planners object_ seed seeds count pose path orbit "
+    "What": "planner planners object_ seed seeds count pose path orbit "
     "waypoints from_ search materials settings config sql recording datum epsg",
     "Sonar": "sonar sonars range_m model renderer truth camera",
     "Mapping": "mapper voxel threshold region",

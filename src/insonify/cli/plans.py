@@ -12,6 +12,7 @@ import typer
 
 from insonify.cli.printing import say_json, say_listing, tell
 from insonify.cli.root import (
+    EXIT_NOTHING,
     JsonOption,
     SetOption,
     app,
@@ -19,9 +20,6 @@ from insonify.cli.root import (
     single_layers,
 )
 from insonify.errors import ConfigError, GeometryError
-
-EXIT_NOTHING = 3
-"""There is nothing that is worth flying."""
 
 if TYPE_CHECKING:
     from insonify.io.datum import Datum

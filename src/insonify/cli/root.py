@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from insonify.io.datum import Datum
     from insonify.mission.setup import Config
 
-EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 130, 141
+EXIT_FAILED, EXIT_BAD_INPUT, EXIT_NOTHING, EXIT_INTERRUPTED, EXIT_BROKEN_PIPE = 1, 2, 3, 130, 141
 
 app = typer.Typer(
     cls=Commands,

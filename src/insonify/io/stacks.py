@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from insonify.io.pings import fan_arrays
-from insonify.types import Array, FanGeometry, Pose, PosedPing
+from insonify.types import Array, FanGeometry, PosedPing
 
 
 class PingStack:
@@ -46,10 +46,10 @@ class PingStack:
         self._images.write(np.ascontiguousarray(ping.image, np.float32).tobytes())
         numbers["time_s"].append(ping.time_s)
         numbers["head_rad"].append(ping.head_rad)
-        numbers["true_pose"].append(_six(posed.true_pose or posed.pose))
-        numbers["estimated_pose"].append(_six(posed.pose))
+        numbers["true_pose"].append((posed.true_pose or posed.pose).numbers)
+        numbers["estimated_pose"].append(posed.pose.numbers)
         numbers["estimated_std"].append(posed.pose.std)
-        numbers["mount"].append(_six(ping.geometry.mount))
+        numbers["mount"].append(ping.geometry.mount.numbers)
 
     @property
     def times_s(self) -> list[float]:
@@ -77,7 +77,3 @@ class PingStack:
         """Leave no raw numbers behind."""
         self._images.close()
         self._raw.unlink(missing_ok=True)
-
-
-def _six(pose: Pose) -> Array:
-    return np.array(pose.numbers)

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -52,9 +53,7 @@ class Scale:
             told = values > 0.08
             bar.set_ticks(values[told].tolist(), labels=[f"{step:g}" for step in steps_db[told]])
             label = "level, dB under full scale"
-        bar.set_label(label, fontsize=8, color=PALE)
-        bar.ax.tick_params(labelsize=7, colors=PALE)
-        bar.outline.set_edgecolor(PALE)
+        _pale(bar, label)
 
 
 AS_IT_IS = Scale()
@@ -191,9 +190,7 @@ def draw_soundings(points_m: Float64, title: str) -> bytes:
     count, _, _ = np.histogram2d(points_m[:, 0], points_m[:, 1], edges)
     with np.errstate(invalid="ignore"):
         shown = axes.pcolormesh(*edges, (total / count).T, cmap="viridis")
-    bar = figure.colorbar(shown, ax=axes, shrink=0.8)
-    bar.set_label("mean z, m", fontsize=8, color=PALE)
-    bar.ax.tick_params(labelsize=7, colors=PALE)
+    _pale(figure.colorbar(shown, ax=axes, shrink=0.8), "mean z, m")
     axes.set_aspect("equal")
     axes.set(xlabel="x (east), m", ylabel="y (north), m")
     return png(figure)
@@ -227,15 +224,22 @@ def _to_fan(
         before = np.floor(beams[inside] - 0.5).astype(int)
         part = (beams[inside] - 0.5 - before).astype(np.float32)
         around = half > 0.99 * math.pi
-        left, right_ = (
+        one, next_one = (
             k % geometry.beams if around else np.clip(k, 0, geometry.beams - 1)
             for k in (before, before + 1)
         )  # fmt: skip
         row = cell[inside]
-        picture[inside] = (1.0 - part) * values[row, left] + part * values[row, right_]
+        picture[inside] = (1.0 - part) * values[row, one] + part * values[row, next_one]
     else:
         picture[inside] = values[cell[inside], beam[inside]]
     return picture, (-side, side, near, geometry.range_max_m)
+
+
+def _pale(bar: Colorbar, label: str) -> None:
+    """Label a colour bar, in the colours of `_dark`."""
+    bar.set_label(label, fontsize=8, color=PALE)
+    bar.ax.tick_params(labelsize=7, colors=PALE)
+    bar.outline.set_edgecolor(PALE)
 
 
 def _dark(width_in: float, height_in: float, title: str) -> tuple[Figure, Axes]:

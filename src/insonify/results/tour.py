@@ -21,7 +21,7 @@ from insonify.report.fans import draw_fan, scale_of
 from insonify.results.files import CONFIG, save_result
 from insonify.sonar.devices import Kind
 from insonify.sonar.scanning import deskewed_image, head_angles, polar_image
-from insonify.types import Array, FanGeometry, Ping, Pose, StopReason
+from insonify.types import Array, FanGeometry, Ping, StopReason
 from insonify.vehicle.craft import Craft, pose_errors
 
 COLUMNS = (
@@ -163,8 +163,3 @@ class _SonarWriter:
             picture = draw_fan(image, title, 8.0, self._scale, smooth=True)
             (self._folder / f"{name}-{kind}.png").write_bytes(picture)
         self._turns += 1
-
-
-def _six(pose: Pose | None) -> list[float]:
-    assert pose is not None
-    return [*pose.numbers]

@@ -28,12 +28,12 @@ class View:
     def cast(self, directions: Float32) -> tuple[Hits, Float32]:
         """First hits within range, and the normals that shade them."""
         turn = self.transform[:3, :3].astype(np.float32)
-        world = _turned(directions, turn)
+        world = turned(directions, turn)
         hits = self.scene.cast(self.transform[:3, 3], world, BEYOND * self.geometry.range_max_m)
         shading = self.scene.shading_normals(hits, world)
         back = np.ascontiguousarray(turn.T)
-        normal = _turned(hits.normal, back)
-        shading = normal if shading is hits.normal else _turned(shading, back)
+        normal = turned(hits.normal, back)
+        shading = normal if shading is hits.normal else turned(shading, back)
         return Hits(hits.range_m, normal, hits.body, hits.triangle, hits.uv), shading
 
     def samples(
@@ -105,7 +105,7 @@ def _grid(azimuth_fov_rad: float, elevation_fov_rad: float, columns: int, rows: 
 
 
 @parallel_kernel
-def _turned(vectors: Float32, turn: Float32) -> Float32:
+def turned(vectors: Float32, turn: Float32) -> Float32:
     """Vectors (N, 3) turned; a product of matrices as thin as this is slow."""
     found = np.empty_like(vectors)
     for k in prange(len(vectors)):

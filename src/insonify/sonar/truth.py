@@ -11,7 +11,7 @@ from insonify.scene import Scene
 from insonify.scene.rays import Hits
 from insonify.sonar.embree import divided_patches, rough_patches
 from insonify.sonar.histogram import BEYOND, Response, Samples, gather, strongest
-from insonify.sonar.patches import View, even_grid
+from insonify.sonar.patches import View, even_grid, turned
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Bool, FanGeometry, Float32, Int32, Int64, Pose
 
@@ -103,21 +103,23 @@ def _hidden(scene: Scene, geometry: FanGeometry, pose: Pose) -> Float32:
     view = View(scene, geometry, world_from_sonar(pose, geometry.mount), Response())
     hits, _ = view.cast(grid.directions)
     even = np.arange(geometry.beams + 1) * (len(grid.directions) // geometry.beams)
-    sets = _behind(view, grid.directions, even, grid.step_az, grid.step_el)
+    sets = _behind(view, grid.directions, hits, even, grid.step_az, grid.step_el)
     rough, parts = rough_patches(view, grid, hits), sampling.refine
     if rough.any():
         directions, starts = divided_patches(view, grid, rough, parts)
-        sets += _behind(view, directions, starts, grid.step_az / parts, grid.step_el / parts)
+        hits, _ = view.cast(directions)
+        steps = grid.step_az / parts, grid.step_el / parts
+        sets += _behind(view, directions, hits, starts, *steps)
     return gather(sets, geometry).coverage
 
 
 def _behind(
-    view: View, directions: Float32, starts: Int64, step_az: float, step_el: float
+    view: View, directions: Float32, hits: Hits, starts: Int64, step_az: float, step_el: float
 ) -> list[Samples]:
-    """Samples of what rays meet beyond the first, by layers; beams' rays begin at ``starts``."""
+    """Samples of what rays meet beyond their first hits; beams' rays begin at ``starts``."""
     scene, transform = view.scene, view.transform
     turn = transform[:3, :3].astype(np.float32)
-    world = directions @ turn.T
+    world = turned(directions, turn)
     limit_m = BEYOND * view.geometry.range_max_m
     passed_m = np.zeros(len(world), np.float32)
     met_before = np.zeros((len(world), len(scene.meshes)), np.uint8)
@@ -126,8 +128,9 @@ def _behind(
     ray = np.arange(len(world))
     sets: list[Samples] = []
     for layer in range(_MOST_LAYERS):
-        origins = transform[:3, 3] + world[ray] * passed_m[ray, None].astype(np.float64)
-        hits = scene.cast(origins, world[ray], limit_m)
+        if layer > 0:
+            origins = transform[:3, 3] + world[ray] * passed_m[ray, None].astype(np.float64)
+            hits = scene.cast(origins, world[ray], limit_m)
         total_m = passed_m[ray] + hits.range_m
         met = (hits.body >= 0) & (total_m < limit_m)
         ray, total_m, body = ray[met], total_m[met], hits.body[met]
