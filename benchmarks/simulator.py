@@ -173,6 +173,8 @@ def preset_table(frames: int = 15) -> Iterator[dict[str, object]]:
         yield {"preset": name, "pings/s": ours_hz, "device_hz": own_hz, "ratio": ours_hz / own_hz}
 
 
+_MANY = 20
+"""Pings in one call of `Sonar.pings`, beside one by one."""
 QUICK = ("park-2025", "gemini-720is", "oculus-m750d-1200khz", "oculus-m1200d-2100khz", "ping360")
 
 
@@ -194,6 +196,7 @@ def quick_table(rounds: int = 15) -> Iterator[dict[str, object]]:
             "pixels": f"{device.beams} x {device.bins}",
             "ping, draws": middle["ping"] / draw_s,
             "ping, casts": middle["ping"] / cast_s,
+            "of many, casts": middle["many"] / _MANY / cast_s,
             "physical, draws": middle["physical"] / draw_s,
             "forming, draws": middle["forming"] / draw_s,
             "forming physical, draws": middle["forming physical"] / draw_s,
@@ -215,6 +218,7 @@ def _jobs(
         "draw": lambda: rng.standard_normal((geometry.bins, geometry.beams), dtype=np.float32),
         "cast": lambda: scene.cast(there[:3, 3], rays, geometry.range_max_m),
         "ping": lambda: plain.ping(scene, pose, rng),
+        "many": lambda: list(plain.pings(scene, [pose] * _MANY, rng)),
         "physical": lambda: physical.ping(scene, pose, rng),
         "forming": lambda: form_image(echoes, ImageSettings(), key),
         "forming physical": lambda: form_physical(echoes, geometry, receiver, field, pose, key),

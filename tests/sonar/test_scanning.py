@@ -15,6 +15,7 @@ from insonify.scene import Body, Scene
 from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice, named_device
 from insonify.sonar.formation import ImageSettings
+from insonify.sonar.physical import PhysicalSettings
 from insonify.sonar.scanning import (
     SIDES_RAD,
     deskewed_image,
@@ -46,11 +47,10 @@ def _room() -> Scene:
 
 def _turn(pose_at: object, device: SonarDevice = DEVICE, number: int = 0) -> list[PosedPing]:
     sonar, scene = Sonar(device, image=QUIET), _room()
-
-    def ping(pose: Pose, head_rad: float, time_s: float) -> PosedPing:
-        return PosedPing(sonar.ping(scene, pose, head_rad=head_rad, time_s=time_s), pose)
-
-    return list(sweep(ping, device, pose_at, number=number))  # type: ignore[arg-type]
+    moments = sweep(device, pose_at, number=number)  # type: ignore[arg-type]
+    poses, heads_rad, times_s = zip(*moments, strict=True)
+    pings = sonar.pings(scene, poses, heads_rad=heads_rad, times_s=times_s)
+    return list(map(PosedPing, pings, poses))
 
 
 def _first(turn: list[PosedPing]) -> Pose:
@@ -78,6 +78,24 @@ def test_a_full_turn_at_rest_shows_the_room() -> None:
     assert image.image.shape == (400, 180)
     assert math.degrees(image.geometry.azimuth_fov_rad) == pytest.approx(360.0)
     assert np.abs(_walls_error(image, centre)).max() < 0.12  # at corners; half of it the bin
+
+
+@pytest.mark.parametrize("device", [DEVICE, SonarDevice(beams=24, bins=90)])
+@pytest.mark.parametrize("physical", [None, PhysicalSettings()])
+def test_pings_together_are_those_one_by_one(
+    device: SonarDevice, physical: PhysicalSettings | None
+) -> None:
+    poses = [Pose(0.1 * k, 0.2, -1.0, yaw_rad=0.2 * k) for k in range(11)]
+    heads, times = np.linspace(-1.0, 1.0, 11), np.arange(11.0)
+    many = Sonar(device, physical=physical).pings(
+        _room(), poses, np.random.default_rng(5), heads_rad=heads, times_s=times
+    )
+    alone, rng = Sonar(device, physical=physical), np.random.default_rng(5)
+    for ping, pose, head, time_s in zip(many, poses, heads, times, strict=True):
+        own = alone.ping(_room(), pose, rng, head_rad=float(head), time_s=float(time_s))
+        np.testing.assert_array_equal(ping.image, own.image)
+        assert (ping.geometry, ping.time_s, ping.head_rad) == (own.geometry, time_s, head)
+    assert next(many, None) is None
 
 
 def test_each_ping_has_its_own_time_and_pose() -> None:

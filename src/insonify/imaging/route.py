@@ -166,12 +166,14 @@ class _Simulator:
         if kind is Kind.SCANNING:
             yield from self._turns()
             return
-        for number, (time_s, pose) in enumerate(ping_times(self.config)):
+        where = ping_times(self.config)
+        heads = SIDES_RAD if kind is Kind.SIDESCAN else (0.0,)
+        pings = self._pings([(pose, head, time_s) for time_s, pose in where for head in heads])
+        for number, (_, pose) in enumerate(where):
+            posed = next(pings)
             if kind is Kind.SIDESCAN:
-                port, starboard = (self._ping(pose, side, time_s) for side in SIDES_RAD)
-                yield Line(number, port, starboard, self._truths(pose, SIDES_RAD))
+                yield Line(number, posed, next(pings), self._truths(pose, SIDES_RAD))
                 continue
-            posed = self._ping(pose, 0.0, time_s)
             truth = next(iter(self._truths(pose, (0.0,))), None)
             shot = Shot(number, posed, truth, self._picture(pose))
             if kind is Kind.PROFILING:
@@ -184,11 +186,8 @@ class _Simulator:
         device = self.config.sonar
         speed = self.config.water.sound_speed_mps
         for number, (start_s, where) in enumerate(turn_starts(self.config)):
-            pings = tuple(
-                sweep(
-                    self._ping, device, where, start_s=start_s, number=number, sound_speed_mps=speed
-                )
-            )
+            moments = sweep(device, where, start_s=start_s, number=number, sound_speed_mps=speed)
+            pings = tuple(self._pings(moments))
             first = where(start_s)
             yield Turn(
                 number,
@@ -204,9 +203,13 @@ class _Simulator:
                 self._picture(first),
             )
 
-    def _ping(self, pose: Pose, head_rad: float, time_s: float) -> PosedPing:
-        ping = self.sonar.ping(self.scene, pose, self.noise, head_rad=head_rad, time_s=time_s)
-        return PosedPing(ping, pose)
+    def _pings(self, moments: list[tuple[Pose, float, float]]) -> Iterator[PosedPing]:
+        """Pings from poses, with the head turned so, at these times."""
+        poses, heads_rad, times_s = zip(*moments, strict=True)
+        pings = self.sonar.pings(
+            self.scene, poses, self.noise, heads_rad=heads_rad, times_s=times_s
+        )
+        return map(PosedPing, pings, poses)
 
     def _truths(self, pose: Pose, heads_rad: Iterable[float]) -> tuple[Truth, ...]:
         if not self.with_truth:

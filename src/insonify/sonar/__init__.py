@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from itertools import islice, repeat
 
 import numpy as np
 
@@ -20,6 +22,9 @@ from insonify.sonar.speckle import SpeckleField
 from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Ping, Pose
+
+_PIXELS_TOGETHER = 2**14
+"""Pings of so many pixels in all are rendered in one call; a ping of more, alone."""
 
 
 class RendererName(StrEnum):
@@ -83,10 +88,38 @@ class Sonar:
             head_rad: How far to the left the head of a scanning sonar is turned.
             time_s: When the sound is sent.
         """
-        key = drawn_key(rng or np.random.default_rng(0))
-        geometry = self.device.geometry_at(head_rad)
-        echoes = self._renderer.render(scene, geometry, pose, self.response)
-        return Ping(self._form(echoes, geometry, pose, key), geometry, time_s, head_rad)
+        return next(self.pings(scene, [pose], rng, heads_rad=[head_rad], times_s=[time_s]))
+
+    def pings(
+        self,
+        scene: Scene,
+        poses: Iterable[Pose],
+        rng: np.random.Generator | None = None,
+        *,
+        heads_rad: Iterable[float] = repeat(0.0),
+        times_s: Iterable[float] = repeat(0.0),
+    ) -> Iterator[Ping]:
+        """Images from many poses, as they are asked for: the same as `ping` gives one by one.
+
+        Where a ping has few rays, those of several are cast in one call, several times as fast.
+
+        Args:
+            scene: What is there.
+            poses: Where the vehicle is at each ping.
+            rng: Where the noise comes from; without it every ping draws the same, of seed 0.
+            heads_rad: How far to the left the head of a scanning sonar is turned at each.
+            times_s: When each one's sound is sent.
+        """
+        together = max(1, _PIXELS_TOGETHER // (self.device.beams * self.device.bins))
+        moments = zip(poses, heads_rad, times_s, strict=False)
+        while several := list(islice(moments, together)):
+            places = [pose for pose, _, _ in several]
+            fans = [self.device.geometry_at(head_rad) for _, head_rad, _ in several]
+            keys = [drawn_key(rng or np.random.default_rng(0)) for _ in several]
+            echoes = self._renderer.render_all(scene, fans, places, self.response)
+            images = self._form_all(echoes, fans, places, keys)
+            for (_, head_rad, time_s), fan, image in zip(several, fans, images, strict=True):
+                yield Ping(image, fan, time_s, head_rad)
 
     def skip(self, pose: Pose, rng: np.random.Generator) -> None:
         """Let its state and ``rng`` move on as if it had pinged from a pose."""
@@ -98,6 +131,19 @@ class Sonar:
         """What it shows where there is nothing but water, (bins, beams): noise, and the water."""
         alone = replace(self, speckle=SpeckleField())
         return alone._form(_nothing(self.device), self.device.geometry, Pose(0.0, 0.0, 0.0), 0)
+
+    def _form_all(
+        self, echoes: EchoHistogram, fans: list[FanGeometry], poses: list[Pose], keys: list[int]
+    ) -> list[Float32]:
+        """The images of pings whose echoes lie side by side."""
+        parts = [
+            slice(k * self.device.beams, (k + 1) * self.device.beams) for k in range(len(fans))
+        ]
+        if self.physical is None:
+            images = form_image(echoes, self.image, *keys)
+            return [images[:, part] for part in parts]
+        own = [EchoHistogram(echoes.echo[:, one], echoes.coverage[:, one]) for one in parts]
+        return [self._form(*each) for each in zip(own, fans, poses, keys, strict=True)]
 
     def _form(self, echoes: EchoHistogram, geometry: FanGeometry, pose: Pose, key: int) -> Float32:
         if self.physical is None:

@@ -8,7 +8,9 @@ where range bins need them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +18,14 @@ from insonify.frames import world_from_sonar
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
 from insonify.scene.rays import Hits
-from insonify.sonar.histogram import BEYOND, EchoHistogram, Response, Samples, gather
+from insonify.sonar.histogram import (
+    BEYOND,
+    EchoHistogram,
+    Response,
+    Samples,
+    gather,
+    side_by_side,
+)
 from insonify.sonar.multipath import mirrored_samples
 from insonify.sonar.patches import Grid, View, even_grid
 from insonify.sonar.sampling import SamplingSettings, even_samples
@@ -43,25 +52,43 @@ class EmbreeRenderer:
         """
         return gather(self.sample(scene, geometry, pose, response), geometry)
 
+    def render_all(
+        self, scene: Scene, fans: Sequence[FanGeometry], poses: Sequence[Pose], response: Response
+    ) -> EchoHistogram:
+        """The echoes of several pings, their rays in one call."""
+        samples = partial(self._samples, scene, fans[0], response=response)
+        transforms = [world_from_sonar(p, fan.mount) for fan, p in zip(fans, poses, strict=True)]
+        if response.second_bounce or response.surface_mirror:
+            return side_by_side([gather(samples(one[None]), fans[0]) for one in transforms])
+        return gather(samples(np.stack(transforms)), fans[0], len(fans))
+
     def sample(
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
     ) -> list[Samples]:
         """The even samples, and those of divided patches."""
-        grid = even_grid(geometry, *even_samples(geometry, self.sampling))
         transform = world_from_sonar(pose, geometry.mount)
-        view = View(scene, geometry, transform, response)
-        hits, shading = view.cast(grid.directions)
-        whole = np.ones(len(grid.directions), np.bool_)
+        return self._samples(scene, geometry, transform[None], response)
+
+    def _samples(
+        self, scene: Scene, geometry: FanGeometry, transforms: Float64, response: Response
+    ) -> list[Samples]:
+        grid = even_grid(geometry, *even_samples(geometry, self.sampling))
+        view, per_ping = View(scene, geometry, transforms, response), len(grid.directions)
+        directions = np.tile(grid.directions, (len(transforms), 1))
+        hits, shading = view.cast(
+            directions, np.arange(len(directions), dtype=np.int32) // per_ping
+        )
+        whole = np.ones(len(directions), np.bool_)
         sets = []
         if self.sampling.refine > 1:
-            rough = rough_patches(view, grid, hits)
+            rough = rough_patches(view, grid, directions, hits)
             whole = ~rough
             if rough.any():
                 sets.append(self._divide(view, grid, rough))
-        even = np.arange(geometry.beams + 1) * (len(grid.directions) // geometry.beams)
+        even = np.arange(view.beams + 1) * (per_ping // geometry.beams)
         weight = np.where(whole, np.float32(1.0 / (even[1])), np.float32(0.0))
         sets.append(
-            view.samples(even, grid.directions, hits, shading, weight, grid.step_az, grid.step_el)
+            view.samples(even, directions, hits, shading, weight, grid.step_az, grid.step_el)
         )
         if response.second_bounce or response.surface_mirror:
             sets += mirrored_samples(view, grid, hits)
@@ -70,31 +97,40 @@ class EmbreeRenderer:
     def _divide(self, view: View, grid: Grid, rough: Bool) -> Samples:
         """Samples of the rough patches, each divided ``refine`` times across and over."""
         parts = self.sampling.refine
-        directions, starts = divided_patches(view, grid, rough, parts)
-        hits, shading = view.cast(directions)
-        per_beam = len(rough) // view.geometry.beams
+        directions, starts, ping = divided_patches(view, grid, rough, parts)
+        hits, shading = view.cast(directions, ping)
+        per_beam = len(rough) // view.beams
         weight = np.full(len(directions), 1.0 / (per_beam * parts * parts), np.float32)
         return view.samples(
             starts, directions, hits, shading, weight, grid.step_az / parts, grid.step_el / parts
         )
 
 
-def rough_patches(view: View, grid: Grid, hits: Hits) -> Bool:
-    """Which patches (N,) of a grid do not continue into all their neighbours' planes."""
+def rough_patches(view: View, grid: Grid, directions: Float32, hits: Hits) -> Bool:
+    """Which patches (N,) of the grids of all pings do not continue into their neighbours' planes.
+
+    Args:
+        view: The pings.
+        grid: Of one.
+        directions: (N, 3), of all.
+        hits: Theirs.
+    """
     geometry = view.geometry
     return _rough(
-        hits.range_m, hits.normal, hits.body, grid.directions, grid.columns, grid.rows,
+        hits.range_m, hits.normal, hits.body, directions, grid.columns, grid.rows,
         geometry.bin_m, BEYOND * geometry.range_max_m,
     )  # fmt: skip
 
 
-def divided_patches(view: View, grid: Grid, rough: Bool, parts: int) -> tuple[Float32, Int64]:
-    """Directions of the parts of rough patches, and where each beam's begin, (beams + 1,)."""
-    chosen = np.flatnonzero(rough)
+def divided_patches(
+    view: View, grid: Grid, rough: Bool, parts: int
+) -> tuple[Float32, Int64, Int32]:
+    """The parts of rough patches: directions, where each beam's begin, and whose ping they are."""
+    chosen, square = np.flatnonzero(rough), parts * parts
     directions = _divided(chosen, grid.azimuth, grid.elevation, grid.step_az, grid.step_el, parts)
-    per_beam = len(rough) // view.geometry.beams
-    starts = np.searchsorted(chosen, np.arange(view.geometry.beams + 1) * per_beam)
-    return directions, starts * parts * parts
+    starts = np.searchsorted(chosen, np.arange(view.beams + 1) * (len(rough) // view.beams))
+    ping = np.repeat((chosen // len(grid.directions)).astype(np.int32), square)
+    return directions, starts * square, ping
 
 
 @parallel_kernel
@@ -106,12 +142,12 @@ def _divided(
     step_el: float,
     parts: int,
 ) -> Float32:
-    """Directions of the parts of chosen patches."""
-    rows = len(elevation)
+    """Directions of the parts of chosen patches, counted through the grids of all pings."""
+    columns, rows = len(azimuth), len(elevation)
     directions = np.empty((len(chosen) * parts * parts, 3), np.float32)
     for i in prange(len(chosen)):
         for a in range(parts):
-            az = azimuth[chosen[i] // rows] + ((a + 0.5) / parts - 0.5) * step_az
+            az = azimuth[chosen[i] // rows % columns] + ((a + 0.5) / parts - 0.5) * step_az
             for e in range(parts):
                 el = elevation[chosen[i] % rows] + ((e + 0.5) / parts - 0.5) * step_el
                 k = (i * parts + a) * parts + e
@@ -162,9 +198,10 @@ def _rough(
     tol_m: float,
     limit_m: float,
 ) -> Bool:
-    """Patches that do not continue into all their neighbours' planes."""
-    rough = np.zeros(columns * rows, np.bool_)
-    for column in prange(columns):
+    """Patches that do not continue into all their neighbours' planes, of one or more grids."""
+    rough = np.zeros(len(range_m), np.bool_)
+    for column in prange(len(range_m) // rows):
+        within = column % columns
         for row in range(rows):
             k = column * rows + row
             found = False
@@ -172,9 +209,9 @@ def _rough(
                 found |= _apart(range_m, normal, body, directions, k - 1, k, tol_m, limit_m)
             if row < rows - 1:
                 found |= _apart(range_m, normal, body, directions, k, k + 1, tol_m, limit_m)
-            if column > 0:
+            if within > 0:
                 found |= _apart(range_m, normal, body, directions, k - rows, k, tol_m, limit_m)
-            if column < columns - 1:
+            if within < columns - 1:
                 found |= _apart(range_m, normal, body, directions, k, k + rows, tol_m, limit_m)
             rough[k] = found
     return rough

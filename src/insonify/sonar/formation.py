@@ -9,7 +9,7 @@ from insonify.config.settings import Settings
 from insonify.jit import parallel_kernel, prange
 from insonify.sonar.draws import draw_row, normal_table, skew_normal_table, variate
 from insonify.sonar.histogram import FULL_CELL, EchoHistogram
-from insonify.types import Float32
+from insonify.types import Float32, UInt64
 
 
 class ImageSettings(Settings):
@@ -26,8 +26,10 @@ class ImageSettings(Settings):
     noise: float = Field(0.02, ge=0, le=1, description="standard deviation of additive noise")
 
 
-def form_image(echoes: EchoHistogram, settings: ImageSettings, key: int) -> Float32:
+def form_image(echoes: EchoHistogram, settings: ImageSettings, *keys: int) -> Float32:
     """The sonar image of an echo histogram: eq. 1, then eq. 2, then additive noise.
+
+    Those of several pings lie side by side, as their echoes do.
 
     The paper's Gaussian speckle n(t) of eq. 2 is "skewed towards low values" without saying how;
     this is Azzalini's skew-normal with ``delta = speckle_skew``, shifted to mean 1, scaled to the
@@ -36,12 +38,12 @@ def form_image(echoes: EchoHistogram, settings: ImageSettings, key: int) -> Floa
     Args:
         echoes: What a renderer saw.
         settings: Which noise, how strong.
-        key: Of the ping, 64 bits; the same key draws the same noise (`sonar.draws`).
+        keys: One a ping, 64 bits; the same key draws the same noise (`sonar.draws`).
     """
     echo, coverage = np.ascontiguousarray(echoes.echo.T), np.ascontiguousarray(echoes.coverage.T)
     image = np.empty_like(echo)
     _form(
-        echo, coverage, FULL_CELL / echo.shape[1], np.uint64(key),
+        echo, coverage, FULL_CELL / echo.shape[1], np.array(keys, np.uint64),
         skew_normal_table(settings.speckle, settings.speckle_skew), normal_table(),
         settings.noise, image,
     )  # fmt: skip
@@ -64,20 +66,21 @@ def _form(
     echo: Float32,
     coverage: Float32,
     least: float,
-    key: np.uint64,
+    keys: UInt64,
     speckle: Float32,
     normal: Float32,
     noise: float,
     image: Float32,
 ) -> None:
-    """Normalise (beams, bins), multiply, add and clip; two bins share a counter."""
-    beams, bins = echo.shape
-    for beam in prange(beams):
+    """Normalise (pings x beams, bins), multiply, add and clip; two bins share a counter."""
+    rows, bins = echo.shape
+    beams = rows // len(keys)
+    for row in prange(rows):
         drawn = np.empty((4, (bins + 1) // 2), np.uint32)
-        draw_row(key, beam, 0, drawn)
+        draw_row(keys[row // beams], row % beams, 0, drawn)
         for cell in range(bins):
             own = 2 * (cell % 2)
-            value = echo[beam, cell] / max(coverage[beam, cell], np.float32(least))
+            value = echo[row, cell] / max(coverage[row, cell], np.float32(least))
             value = value * variate(speckle, drawn[own, cell // 2])
             value += np.float32(noise) * variate(normal, drawn[own + 1, cell // 2])
-            image[beam, cell] = min(max(value, np.float32(0.0)), np.float32(1.0))
+            image[row, cell] = min(max(value, np.float32(0.0)), np.float32(1.0))

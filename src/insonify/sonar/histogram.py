@@ -7,6 +7,7 @@ stretch, so a level seabed fills every bin it covers with far fewer samples than
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -75,6 +76,8 @@ class Response:
 class EchoHistogram:
     """Echoes by range bin and beam, before normalisation and noise.
 
+    Those of several pings lie side by side, (bins, pings x beams).
+
     Attributes:
         echo: (bins, beams) float32, sum of the samples' echoes, each weighted with the share of
             its beam's opening (azimuth x elevation) that it stands for.
@@ -119,15 +122,20 @@ class Renderer(Protocol):
     ) -> EchoHistogram:
         """The echoes of a scene from a vehicle pose."""
 
+    def render_all(
+        self, scene: Scene, fans: Sequence[FanGeometry], poses: Sequence[Pose], response: Response
+    ) -> EchoHistogram:
+        """The echoes of several pings side by side; their fans differ in their mounts alone."""
+
     def sample(
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
     ) -> list[Samples]:
         """The samples behind these echoes, for ground truth."""
 
 
-def gather(sets: list[Samples], geometry: FanGeometry) -> EchoHistogram:
-    """The echo histogram of sets of samples."""
-    echo = np.zeros((geometry.beams, geometry.bins), np.float32)
+def gather(sets: list[Samples], geometry: FanGeometry, pings: int = 1) -> EchoHistogram:
+    """The echo histogram of sets of samples, of one or more pings of a fan."""
+    echo = np.zeros((pings * geometry.beams, geometry.bins), np.float32)
     coverage = np.zeros_like(echo)
     for s in sets:
         _add_samples(
@@ -135,6 +143,14 @@ def gather(sets: list[Samples], geometry: FanGeometry) -> EchoHistogram:
             geometry.range_min_m, geometry.bin_m, echo, coverage,
         )  # fmt: skip
     return EchoHistogram(echo.T, coverage.T)
+
+
+def side_by_side(pings: list[EchoHistogram]) -> EchoHistogram:
+    """The echo histogram of several pings."""
+    return EchoHistogram(
+        np.concatenate([one.echo for one in pings], axis=1),
+        np.concatenate([one.coverage for one in pings], axis=1),
+    )
 
 
 def strongest(sets: list[Samples], geometry: FanGeometry) -> Int64:

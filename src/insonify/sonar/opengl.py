@@ -7,6 +7,7 @@ up to 360 degrees.  Their pixels are binned on the device; only beams x bins com
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,7 +18,14 @@ from insonify.errors import RendererError
 from insonify.frames import directions_from_angles, rotation_from_rpy, world_from_sonar
 from insonify.scene import Scene
 from insonify.sonar.gpu import UploadedScene, open_context, projection, set_uniforms, shader
-from insonify.sonar.histogram import BEYOND, LEAST_FACING, EchoHistogram, Response, Samples
+from insonify.sonar.histogram import (
+    BEYOND,
+    LEAST_FACING,
+    EchoHistogram,
+    Response,
+    Samples,
+    side_by_side,
+)
 from insonify.sonar.sampling import SamplingSettings, even_samples
 from insonify.types import Array, FanGeometry, Float32, Float64, Pose
 
@@ -89,6 +97,13 @@ class OpenGLRenderer:
             for buffer in sums
         )
         return EchoHistogram(echo.T.astype(np.float32), coverage.T.astype(np.float32))
+
+    def render_all(
+        self, scene: Scene, fans: Sequence[FanGeometry], poses: Sequence[Pose], response: Response
+    ) -> EchoHistogram:
+        """The echoes of several pings, drawn one after another."""
+        pairs = zip(fans, poses, strict=True)
+        return side_by_side([self.render(scene, fan, pose, response) for fan, pose in pairs])
 
     def sample(
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response

@@ -18,22 +18,47 @@ from insonify.types import FanGeometry, Float32, Float64, Int32, Int64
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A scene seen from one sonar pose; rays and normals are in the sonar frame."""
+    """A scene seen by one or more pings of a fan; rays and normals are in the sonar's frame.
+
+    Args:
+        scene: What is there.
+        geometry: The fan; the beams of the second ping follow those of the first.
+        transforms: (pings, 4, 4), each from the sonar to the world.
+        response: How surfaces echo.
+    """
 
     scene: Scene
     geometry: FanGeometry
-    transform: Float64
+    transforms: Float64
     response: Response
 
-    def cast(self, directions: Float32) -> tuple[Hits, Float32]:
-        """First hits within range, and the normals that shade them."""
-        turn = self.transform[:3, :3].astype(np.float32)
-        world = turned(directions, turn)
-        hits = self.scene.cast(self.transform[:3, 3], world, BEYOND * self.geometry.range_max_m)
+    @property
+    def beams(self) -> int:
+        """Of all pings."""
+        return len(self.transforms) * self.geometry.beams
+
+    @property
+    def transform(self) -> Float64:
+        """Of the only ping."""
+        (alone,) = self.transforms
+        return alone  # type: ignore[no-any-return]
+
+    def cast(self, directions: Float32, ping: Int32) -> tuple[Hits, Float32]:
+        """First hits within range, and the normals that shade them.
+
+        Args:
+            directions: (N, 3), sonar frame.
+            ping: (N,) which ping's they are.
+        """
+        turns = self.transforms[:, :3, :3].astype(np.float32)
+        world = turned(directions, turns, ping)
+        places = self.transforms[:, :3, 3]
+        origin = places[0] if len(places) == 1 else places[ping]
+        hits = self.scene.cast(origin, world, BEYOND * self.geometry.range_max_m)
         shading = self.scene.shading_normals(hits, world)
-        back = np.ascontiguousarray(turn.T)
-        normal = turned(hits.normal, back)
-        shading = normal if shading is hits.normal else turned(shading, back)
+        back = np.ascontiguousarray(turns.transpose(0, 2, 1))
+        normal = turned(hits.normal, back, ping)
+        shading = normal if shading is hits.normal else turned(shading, back, ping)
         return Hits(hits.range_m, normal, hits.body, hits.triangle, hits.uv), shading
 
     def samples(
@@ -105,10 +130,11 @@ def _grid(azimuth_fov_rad: float, elevation_fov_rad: float, columns: int, rows: 
 
 
 @parallel_kernel
-def turned(vectors: Float32, turn: Float32) -> Float32:
-    """Vectors (N, 3) turned; a product of matrices as thin as this is slow."""
+def turned(vectors: Float32, turns: Float32, which: Int32) -> Float32:
+    """Vectors (N, 3), each by one of the turns (M, 3, 3); thin products of matrices are slow."""
     found = np.empty_like(vectors)
     for k in prange(len(vectors)):
+        turn = turns[which[k]]
         x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
         for i in range(3):
             found[k, i] = turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -38,18 +38,16 @@ def head_at(device: SonarDevice, number: int) -> float:
 
 
 def sweep(
-    ping: Callable[[Pose, float, float], PosedPing],
     device: SonarDevice,
     pose_at: Callable[[float], Pose],
     *,
     start_s: float = 0.0,
     number: int = 0,
     sound_speed_mps: float = 1500.0,
-) -> Iterator[PosedPing]:
-    """One turn of a scanning head.
+) -> list[tuple[Pose, float, float]]:
+    """One turn of a scanning head: for each ping the pose, the head's angle in rad and the time.
 
     Args:
-        ping: The sonar in its world: a ping from a pose, with the head turned so, at a time.
         device: The sonar.
         pose_at: Where the vehicle is at a time.
         start_s: When the turn begins.
@@ -58,10 +56,11 @@ def sweep(
     """
     steps = len(head_angles(device))
     interval_s = device.interval_s(sound_speed_mps)
-    for step in range(steps):
-        time_s = start_s + step * interval_s
-        head_rad, pose = head_at(device, number * steps + step), pose_at(time_s)
-        yield ping(pose, head_rad, time_s)
+    times_s = [start_s + step * interval_s for step in range(steps)]
+    return [
+        (pose_at(time_s), head_at(device, number * steps + step), time_s)
+        for step, time_s in enumerate(times_s)
+    ]
 
 
 def polar_image(turn: Sequence[PosedPing], device: SonarDevice) -> Ping:

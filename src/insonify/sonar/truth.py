@@ -100,14 +100,14 @@ def _hidden(scene: Scene, geometry: FanGeometry, pose: Pose) -> Float32:
     """
     sampling = SamplingSettings()
     grid = even_grid(geometry, *even_samples(geometry, sampling))
-    view = View(scene, geometry, world_from_sonar(pose, geometry.mount), Response())
-    hits, _ = view.cast(grid.directions)
+    view = View(scene, geometry, world_from_sonar(pose, geometry.mount)[None], Response())
+    hits, _ = view.cast(grid.directions, np.zeros(len(grid.directions), np.int32))
     even = np.arange(geometry.beams + 1) * (len(grid.directions) // geometry.beams)
     sets = _behind(view, grid.directions, hits, even, grid.step_az, grid.step_el)
-    rough, parts = rough_patches(view, grid, hits), sampling.refine
+    rough, parts = rough_patches(view, grid, grid.directions, hits), sampling.refine
     if rough.any():
-        directions, starts = divided_patches(view, grid, rough, parts)
-        hits, _ = view.cast(directions)
+        directions, starts, ping = divided_patches(view, grid, rough, parts)
+        hits, _ = view.cast(directions, ping)
         steps = grid.step_az / parts, grid.step_el / parts
         sets += _behind(view, directions, hits, starts, *steps)
     return gather(sets, geometry).coverage
@@ -119,7 +119,7 @@ def _behind(
     """Samples of what rays meet beyond their first hits; beams' rays begin at ``starts``."""
     scene, transform = view.scene, view.transform
     turn = transform[:3, :3].astype(np.float32)
-    world = turned(directions, turn)
+    world = turned(directions, turn[None], np.zeros(len(directions), np.int32))
     limit_m = BEYOND * view.geometry.range_max_m
     passed_m = np.zeros(len(world), np.float32)
     met_before = np.zeros((len(world), len(scene.meshes)), np.uint8)
