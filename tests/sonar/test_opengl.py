@@ -22,8 +22,9 @@ from insonify.sonar.histogram import Law, Response, gather
 from insonify.sonar.opengl import OpenGLRenderer
 from insonify.types import Pose
 
-AGREEMENT = 0.04
-"""RMS between the two images, of full scale; outlines make nearly all of it."""
+AGREEMENT, OF_ONE_BEAM = 0.02, 0.045
+"""RMS between the two images, of full scale; outlines make nearly all of it, and one beam has few
+cells without."""
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,8 @@ def test_both_renderers_make_one_image(opengl: OpenGLRenderer, scene: str, devic
         assert theirs.coverage.sum() == pytest.approx(ours.coverage.sum(), rel=0.01)
         assert theirs.echo.sum() == pytest.approx(ours.echo.sum(), rel=0.01)
         error = normalise_energy(theirs) - normalise_energy(ours)
-        assert math.sqrt((error**2).mean()) < AGREEMENT
+        most = OF_ONE_BEAM if geometry.beams == 1 else AGREEMENT
+        assert math.sqrt((error**2).mean()) < most
 
 
 def test_the_same_bytes_twice_and_samples_gather_to_the_same(opengl: OpenGLRenderer) -> None:

@@ -21,7 +21,7 @@ from insonify.types import Array, Bool, Float32, Float64, Int32
 if TYPE_CHECKING:
     import moderngl
 
-_TRIANGLES_A_CHUNK = 1024
+_TRIANGLES_A_CHUNK = 256
 _EMBREE = "or render with Embree (--renderer embree)"
 
 
