@@ -164,3 +164,17 @@ def test_where_nothing_can_be_written_it_says_so(package: Path) -> None:
     (package / "__pycache__").touch()
     done = _ask(package, XDG_CACHE_HOME="/dev/null", PYTHONDONTWRITEBYTECODE="1")
     assert done.stdout == "3.0\n" and "each start compiles them anew" in done.stderr
+
+
+@pytest.mark.parametrize("own", [{}, {"GOMP_SPINCOUNT": "7"}, {"OMP_WAIT_POLICY": "active"}])
+def test_how_threads_wait_is_set_for_our_own_library_only(own: dict[str, str]) -> None:
+    """Programs that are started from here, and libraries loaded later, see the user's settings."""
+    asked = ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")
+    code = (
+        f"import insonify.jit, os; print({{k: os.environ[k] for k in {asked} if k in os.environ}})"
+    )
+    clean = {name: value for name, value in os.environ.items() if name not in asked}
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=clean | own, capture_output=True, text=True, check=True
+    )
+    assert ast.literal_eval(told.stdout) == own

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -37,6 +38,27 @@ _CONSTANTS = ("mapping/store.py", "mapping/voxels.py", "vehicle/model.py")
 _PREFIX = "kernels-"
 _KEPT_S = 7 * 24 * 3600.0
 _CONFIG: Any = config
+
+
+def _load_patient_threads() -> None:
+    """Load GNU OpenMP so that a thread that waits for others soon sleeps, unless the user said how.
+
+    By default it spins for milliseconds.  Where another program holds a core, that keeps off it the
+    very thread that is waited for, and each parallel kernel takes a time slice of the system: a
+    ping took 50 ms in place of 2.  Not to spin at all takes a third longer where nothing else runs.
+    The setting is read when the library is loaded, so it is set for that only.
+    """
+    if {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"} & set(os.environ):
+        return
+    os.environ["GOMP_SPINCOUNT"] = "1000"
+    try:
+        with suppress(ImportError):  # there are other threads where this library is not
+            import_module("numba.np.ufunc.omppool")
+    finally:
+        del os.environ["GOMP_SPINCOUNT"]
+
+
+_load_patient_threads()
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     # by TBB, which it takes first where that is installed, numba 0.68 leaks 7 kB a parallel call
     _CONFIG.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]
