@@ -82,7 +82,8 @@ DEVICES = {
 def test_both_renderers_make_one_image(opengl: OpenGLRenderer, scene: str, device: str) -> None:
     geometry = DEVICES[device].geometry
     made, pose = SCENES[scene](), Pose(-1.0, 0.4, 6.0, 0.05, 0.02, 0.1)
-    for response in (Response(), Response(Law.LAMBERT, edge_db=3.0)):
+    lobes = Response(Law.LAMBERT, edge_db=3.0, lobes_edge_rad=0.05)
+    for response in (Response(), Response(Law.LAMBERT, edge_db=3.0), lobes):
         ours = EmbreeRenderer().render(made, geometry, pose, response)
         theirs = opengl.render(made, geometry, pose, response)
         assert theirs.coverage.sum() == pytest.approx(ours.coverage.sum(), rel=0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -23,6 +24,8 @@ from insonify.sonar.truth import Truth, find_truth
 from insonify.sonar.water import WaterSettings
 from insonify.types import FanGeometry, Float32, Ping, Pose
 
+_LOBES, _HIGHEST_RAD = 3.0, math.radians(120.0)
+"""Side lobes are heard to so many times a beam's height, and no higher than this in all."""
 _PIXELS_TOGETHER = 2**14
 """Pings of so many pixels in all are rendered in one call; a ping of more, alone."""
 
@@ -116,8 +119,9 @@ class Sonar:
             places = [pose for pose, _, _ in several]
             fans = [self.device.geometry_at(head_rad) for _, head_rad, _ in several]
             keys = [drawn_key(rng or np.random.default_rng(0)) for _ in several]
-            echoes = self._renderer.render_all(scene, fans, places, self.response)
-            images = self._form_all(echoes, fans, places, keys)
+            heard = [self._heard(fan) for fan in fans]
+            echoes = self._renderer.render_all(scene, heard, places, self.response)
+            images = self._form_all(echoes, heard, places, keys)
             for (_, head_rad, time_s), fan, image in zip(several, fans, images, strict=True):
                 yield Ping(image, fan, time_s, head_rad)
 
@@ -131,6 +135,18 @@ class Sonar:
         """What it shows where there is nothing but water, (bins, beams): noise, and the water."""
         alone = replace(self, speckle=SpeckleField())
         return alone._form(_nothing(self.device), self.device.geometry, Pose(0.0, 0.0, 0.0), 0)
+
+    @property
+    def _edge_rad(self) -> float:
+        """Elevation of the beam's upper edge."""
+        return math.radians(self.device.elevation_fov_deg) / 2
+
+    def _heard(self, fan: FanGeometry) -> FanGeometry:
+        """The fan as far up and down as it is heard: where it is looked for echoes."""
+        if self.physical is None or not self.physical.elevation_lobes:
+            return fan
+        height_rad = min(_LOBES * fan.elevation_fov_rad, _HIGHEST_RAD)
+        return replace(fan, elevation_fov_rad=max(height_rad, fan.elevation_fov_rad))
 
     def _form_all(
         self, echoes: EchoHistogram, fans: list[FanGeometry], poses: list[Pose], keys: list[int]
@@ -154,7 +170,13 @@ class Sonar:
     def truth(self, scene: Scene, pose: Pose, *, head_rad: float = 0.0) -> Truth:
         """What each pixel of the image from a pose shows, as far as its echoes come straight."""
         geometry = self.device.geometry_at(head_rad)
-        direct = replace(self.response, second_bounce=False, surface_mirror=False)
+        direct = replace(
+            self.response,
+            lobes_edge_rad=0.0,
+            surface=0.0,
+            second_bounce=False,
+            surface_mirror=False,
+        )
         samples = self._renderer.sample(scene, geometry, pose, direct)
         return find_truth(samples, scene, geometry, pose)
 
@@ -166,6 +188,10 @@ class Sonar:
         return Response(
             Law.LAMBERT,
             edge_db=self.physical.edge_db,
+            lobes_edge_rad=self._edge_rad if self.physical.elevation_lobes else 0.0,
+            surface=10.0 ** (self.physical.surface_db / 10.0)
+            if self.physical.surface_db > -200.0
+            else 0.0,
             second_bounce=self.physical.second_bounce,
             surface_mirror=self.physical.surface_mirror,
         )

@@ -58,7 +58,7 @@ class EmbreeRenderer:
         """The echoes of several pings, their rays in one call."""
         samples = partial(self._samples, scene, fans[0], response=response)
         transforms = [world_from_sonar(p, fan.mount) for fan, p in zip(fans, poses, strict=True)]
-        if response.second_bounce or response.surface_mirror:
+        if response.indirect:
             return side_by_side([gather(samples(one[None]), fans[0]) for one in transforms])
         return gather(samples(np.stack(transforms)), fans[0], len(fans))
 
@@ -90,7 +90,7 @@ class EmbreeRenderer:
         sets.append(
             view.samples(even, directions, hits, shading, weight, grid.step_az, grid.step_el)
         )
-        if response.second_bounce or response.surface_mirror:
+        if response.indirect:
             sets += mirrored_samples(view, grid, hits)
         return sets
 

@@ -7,12 +7,14 @@ stretch, so a level seabed fills every bin it covers with far fewer samples than
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
+from scipy.optimize import brentq
 
 from insonify.jit import kernel, parallel_kernel, prange
 from insonify.scene import Scene
@@ -48,7 +50,9 @@ class Response:
         law: Which of the two.
         slope: Slope of S.
         centre: Intensity at which S is 0.5.
-        edge_db: One-way loss at the upper and lower edge of the beam; the beam is Gaussian.
+        edge_db: One-way loss at the upper and lower edge of the beam, which is Gaussian.
+        lobes_edge_rad: Where that edge is, if the beam has side lobes beyond, as a line has.
+        surface: Lambert's coefficient of the water's surface, seen from below; 0 does not echo.
         second_bounce: Echoes that come by way of a second surface too.
         surface_mirror: And those that come by way of the water's surface.
     """
@@ -57,19 +61,49 @@ class Response:
     slope: float = 6.0
     centre: float = 0.3
     edge_db: float = 0.0
+    lobes_edge_rad: float = 0.0
+    surface: float = 0.0
     second_bounce: bool = False
     surface_mirror: bool = False
 
+    @property
+    def indirect(self) -> bool:
+        """Whether it takes more than first hits of rays on the scene."""
+        return self.second_bounce or self.surface_mirror or self.surface > 0.0
+
     def strengths(self, scene: Scene) -> Float32:
-        """What a body's material brings into the law, by body index."""
-        return scene.reflectance if self.law is Law.SIGMOID else scene.lambert
+        """What a body's material brings into the law, by body index; the surface's comes last."""
+        bodies = scene.reflectance if self.law is Law.SIGMOID else scene.lambert
+        return np.append(bodies, np.float32(self.surface))
 
     def vector(self, geometry: FanGeometry) -> Float32:
-        """For kernels and shaders: law, slope, centre, beam pattern's exponent per elevation^2."""
-        edges = (geometry.elevation_fov_rad / 2) ** 2
-        two_way = 2.0 * self.edge_db / 10.0 * np.log(10.0) / edges
+        """For kernels and shaders: law, slope, centre, beam pattern (`beam_loss`)."""
         lambert = float(self.law is Law.LAMBERT)
-        return np.array([lambert, self.slope, self.centre, two_way], np.float32)
+        if self.lobes_edge_rad > 0.0:
+            pattern = -sinc_reaches(10.0 ** (-self.edge_db / 20.0)) / math.sin(self.lobes_edge_rad)
+        else:
+            edges = (geometry.elevation_fov_rad / 2) ** 2
+            pattern = 2.0 * self.edge_db / 10.0 * math.log(10.0) / edges
+        return np.array([lambert, self.slope, self.centre, pattern], np.float32)
+
+
+def sinc_reaches(level: float) -> float:
+    """Where ``sin(pi u) / (pi u)`` has fallen from 1 to a level, u in [0, 1]."""
+    return float(brentq(lambda u: np.sinc(u) - level, 0.0, 1.0))
+
+
+@kernel
+def beam_loss(elevation_rad: float, pattern: float) -> float:
+    """Two-way loss of power at an elevation, of a Gaussian beam or, below 0, of a line's.
+
+    A line's pressure falls as ``sin(pi u) / (pi u)`` with u the sine of the elevation times
+    ``-pattern``, each way.
+    """
+    if pattern >= 0.0:
+        return math.exp(-pattern * elevation_rad * elevation_rad)
+    u = abs(math.pi * pattern * math.sin(elevation_rad))
+    pressure = 1.0 if u < 1e-4 else math.sin(u) / u
+    return pressure**4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""Echoes by way of a mirror: a second surface, or the water's surface seen from below.
+"""Echoes of the water's surface seen from below, and by way of a mirror: it or a second surface.
 
 A ray that meets a mirror goes on as the straight ray into the mirrored world does.  What it finds
 there, B, is heard three times: out and back by the mirror, out by it and back straight, and the
@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from insonify.jit import kernel
 from insonify.scene.rays import Hits
-from insonify.sonar.histogram import BEYOND, Samples
+from insonify.sonar.histogram import BEYOND, Samples, beam_loss
 from insonify.sonar.patches import Grid, View
 from insonify.types import Array, Float32, Float64
 
@@ -25,7 +26,7 @@ _SURFACE_KEEPS = 0.9
 
 
 def mirrored_samples(view: View, grid: Grid, hits: Hits) -> list[Samples]:
-    """Samples of all that mirrors show.
+    """Samples of the water's surface, and of all that mirrors show.
 
     Args:
         view: The scene and the sonar's pose.
@@ -41,15 +42,34 @@ def mirrored_samples(view: View, grid: Grid, hits: Hits) -> list[Samples]:
         kept = np.minimum(math.pi * view.scene.lambert[hits.body[met]], 1.0)
         mirrors = _Mirrors(met, hits.range_m[met].astype(np.float64), _unit(normal), kept)
         sets += _seen_in(mirrors, view, grid, world)
-    if view.response.surface_mirror:
+    if view.response.surface_mirror or view.response.surface > 0.0:
         up_m = np.full(len(world), np.inf)
         rising = world[:, 2] > 1e-9
         up_m[rising] = -view.transform[2, 3] / world[rising, 2]
         met = np.flatnonzero((up_m > 0.0) & (up_m < hits.range_m) & np.isfinite(up_m))
         normal = np.tile([0.0, 0.0, 1.0], (len(met), 1))
-        kept = np.full(len(met), _SURFACE_KEEPS)
-        sets += _seen_in(_Mirrors(met, up_m[met], normal, kept), view, grid, world)
+        if view.response.surface > 0.0:
+            sets.append(_surface(met, up_m[met], normal, view, grid))
+        if view.response.surface_mirror:
+            kept = np.full(len(met), _SURFACE_KEEPS)
+            sets += _seen_in(_Mirrors(met, up_m[met], normal, kept), view, grid, world)
     return sets
+
+
+def _surface(ray: Array, up_m: Float64, normal: Float64, view: View, grid: Grid) -> Samples:
+    """Samples of the water's surface itself, where rays reach it within range."""
+    near = up_m < BEYOND * view.geometry.range_max_m
+    ray, nothing = ray[near], np.full(int(near.sum()), -1, np.int32)
+    there = Hits(
+        up_m[near].astype(np.float32),
+        (normal[near] @ view.transform[:3, :3]).astype(np.float32),
+        np.full(len(ray), len(view.scene.meshes), np.int32),
+        nothing,
+        np.zeros((len(ray), 2), np.float32),
+    )
+    per_beam = len(grid.directions) // view.geometry.beams
+    weight = np.full(len(ray), 1.0 / per_beam, np.float32)
+    return _samples(view, grid, grid.directions[ray], ray // per_beam, there, weight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +117,8 @@ def _seen_in(mirrors: _Mirrors, view: View, grid: Grid, world: Float64) -> list[
     seen_beam, inside = _beam_of(view, arrival)
     mixed_m = ((total_m + direct_m) / 2).astype(np.float32)
     louder = np.where(plain & inside, (mixed_m / direct_m) ** 2, 0.0).astype(np.float32) * kept
-    pattern = view.response.vector(view.geometry)[3] / 2  # one way by each elevation
-    rise = np.arcsin(np.clip(arrival[:, 2], -1, 1)) ** 2
-    rise -= np.arcsin(grid.directions[ray, 2]) ** 2
-    louder *= np.exp(-pattern * rise).astype(np.float32)
+    pattern = float(view.response.vector(view.geometry)[3])
+    louder *= _one_way(arrival[:, 2], grid.directions[ray, 2], pattern)
     half_way = Hits(mixed_m, image.normal, image.body, image.triangle, image.uv)
     mixed = _samples(view, grid, grid.directions[ray], beam, half_way, weight)
     return [
@@ -108,6 +126,17 @@ def _seen_in(mirrors: _Mirrors, view: View, grid: Grid, world: Float64) -> list[
         _faded(mixed, louder, beam, view),
         _faded(mixed, louder, seen_beam, view),
     ]
+
+
+@kernel
+def _one_way(upwards: Float64, instead_of: Float32, pattern: float) -> Float32:
+    """What one way through the beam keeps at sines of elevations, over what it keeps at others."""
+    found = np.empty(len(upwards), np.float32)
+    for k in range(len(upwards)):
+        here = beam_loss(math.asin(min(max(upwards[k], -1.0), 1.0)), pattern)
+        there = beam_loss(math.asin(instead_of[k]), pattern)
+        found[k] = math.sqrt(here / max(there, 1e-12))
+    return found
 
 
 def _samples(

@@ -140,9 +140,9 @@ class OpenGLRenderer:
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
     ) -> _Target:
         """Draw all cameras of a fan."""
-        if response.second_bounce or response.surface_mirror:
+        if response.indirect:
             raise RendererError(
-                "second_bounce and surface_mirror need rays: render with Embree "
+                "second_bounce, surface_mirror and surface_db need rays: render with Embree "
                 "(--renderer embree), or leave them out"
             )
         uploaded = self._upload(scene)

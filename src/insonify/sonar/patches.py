@@ -12,7 +12,7 @@ from insonify.frames import directions_from_angles
 from insonify.jit import parallel_kernel, prange
 from insonify.scene import Scene
 from insonify.scene.rays import Hits
-from insonify.sonar.histogram import BEYOND, LEAST_FACING, Response, Samples
+from insonify.sonar.histogram import BEYOND, LEAST_FACING, Response, Samples, beam_loss
 from insonify.types import FanGeometry, Float32, Float64, Int32, Int64
 
 
@@ -181,7 +181,6 @@ def _shade(
         else:
             intensity = min(1.0, cosine * strengths[body[k]])
             strength = 1.0 / (1.0 + math.exp(-response[1] * (intensity - response[2])))
-        elevation = math.asin(d[2])
-        echo[k] = strength * math.exp(-response[3] * elevation * elevation)
+        echo[k] = strength * beam_loss(math.asin(d[2]), response[3])
         kept[k] = weight[k]
     return rise_m, skew_m, echo, kept

@@ -69,6 +69,9 @@ class PhysicalSettings(Settings):
     edge_db: float = Field(
         3.0, ge=0, le=40, description="one-way loss at the beam's upper and lower edge"
     )
+    elevation_lobes: bool = Field(
+        False, description="side lobes above and below the beam too, to three times its height"
+    )
     taper: float = Field(
         0.85, ge=0, le=1, description="of the array: 0 uniform, side lobes -13 dB; 0.85 Hamming"
     )
@@ -81,6 +84,12 @@ class PhysicalSettings(Settings):
         30.0, ge=0, le=80, description="time-varying gain of so much log10 r, dB"
     )
     tvg_absorption: bool = Field(True, description="and of 2 alpha r; both to 70 % of the reach")
+    surface_db: float = Field(
+        -200.0,
+        ge=-200,
+        le=0,
+        description="of the water's surface from below, Lambert's law; -200: none (Embree only)",
+    )
     second_bounce: bool = Field(
         False, description="echoes by way of a second surface, which mirrors (Embree only)"
     )

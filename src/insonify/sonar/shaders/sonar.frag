@@ -52,7 +52,9 @@ void main() {
     float echo = response.x > 0.0
         ? strength * cosine * flat_d
         : 1.0 / (1.0 + exp(-response.y * (min(1.0, cosine * strength) - response.z)));
-    echo *= exp(-response.w * elevation * elevation);
+    float u = abs(3.14159265 * response.w * d.z);
+    float pressure = u < 1e-4 ? 1.0 : sin(u) / u;
+    echo *= response.w >= 0.0 ? exp(-response.w * elevation * elevation) : pow(pressure * pressure, 2.0);
     float weight = step_az * step_el / (beam_rad * 2.0 * half_fov.y);
     channels = vec4(echo, r, azimuth, weight);
     patch_of = vec4(rise, skew, body, elevation);
