@@ -262,9 +262,17 @@ main()
 """
 
 
-@pytest.mark.parametrize("model", ["cerqueira", "physical"])
-def test_a_killed_scan_goes_on_where_it_was_with_the_same_result(
-    model: str, tmp_path: Path
+@pytest.mark.parametrize(
+    ("model", "how"),
+    [
+        ("cerqueira", [signal.SIGKILL]),
+        ("physical", [signal.SIGKILL]),
+        ("cerqueira", [signal.SIGINT]),
+        ("cerqueira", [signal.SIGINT, signal.SIGINT]),
+    ],
+)
+def test_a_scan_that_was_broken_off_goes_on_where_it_was_with_the_same_result(
+    model: str, how: list[signal.Signals], tmp_path: Path
 ) -> None:
     quick = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=12"]
     quick += ["--set", f"model={model}", "--set", "survey.approach_m=1.0"]
@@ -281,14 +289,21 @@ def test_a_killed_scan_goes_on_where_it_was_with_the_same_result(
     assert process.stderr is not None
     while "PING 20" not in process.stderr.readline():
         assert process.poll() is None
-    process.kill()
+    for number, one in enumerate(how):
+        if number > 0:
+            assert "the same command" in process.stderr.readline()
+        process.send_signal(one)
     process.communicate(timeout=120)
-    (left,) = tmp_path.glob(".out-*")
+    assert process.returncode == (-9 if how == [signal.SIGKILL] else 130)
+    left = list(tmp_path.glob(".out-*"))
+    assert (len(left), (tmp_path / "out").exists()) == (
+        (0, True) if how == [signal.SIGINT] else (1, False)
+    )
     again = _run(*scan, "--out", "out", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     (pings,) = re.findall(r"going on after the (\d+) pings", again.stderr)
-    assert 8 <= int(pings) <= 20
-    assert not left.exists()
+    assert 8 <= int(pings) <= 23
+    assert not list(tmp_path.glob(".out-*"))
     first, second = json.loads(whole.stdout), json.loads(again.stdout)
     assert first | {"seconds": 0} == second | {"seconds": 0}
     for name in ("map.npz", "map.ply", "config.toml", "recording.mcap"):

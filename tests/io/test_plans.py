@@ -41,7 +41,7 @@ def test_headings_are_clockwise_from_north(yaw: float, heading: float) -> None:
 
 
 def test_every_file_says_the_same(tmp_path: Path) -> None:
-    names = save_plan(PATH, tmp_path, DATUM)
+    names = save_plan(PATH, tmp_path, DATUM, speed_mps=0.7)
     assert {p.name for p in tmp_path.iterdir()} == set(names)
     assert set(names) == {"path.csv", "path.geojson", "path.mcap", "path.plan", "path.yaml"}
     rows = list(csv.DictReader((tmp_path / "path.csv").read_text().splitlines()))
@@ -49,8 +49,10 @@ def test_every_file_says_the_same(tmp_path: Path) -> None:
     line = geo["features"][0]["geometry"]
     assert line["type"] == "LineString" and len(line["coordinates"]) == 2
     plan = json.loads((tmp_path / "path.plan").read_text())
-    items = plan["mission"]["items"]
-    assert [item["doJumpId"] for item in items] == [1, 2]
+    speed, *items = plan["mission"]["items"]
+    assert (speed["command"], speed["params"][:2]) == (178, [1, 0.7])  # of the ground
+    assert [item["doJumpId"] for item in (speed, *items)] == [1, 2, 3]
+    assert {item["command"] for item in items} == {16}
     assert plan["mission"]["plannedHomePosition"] == [41.5, -71.3, 2.0]
     for row, place, item in zip(rows, line["coordinates"], items, strict=True):
         latitude, longitude = float(row["latitude_deg"]), float(row["longitude_deg"])

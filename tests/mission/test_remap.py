@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from insonify.mapping.voxels import VoxelMap
 from insonify.mission.remap import echo_threshold, map_recordings
 from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
-from insonify.planning.once import clearance_m, plan_next
+from insonify.planning.once import clearance_m, plan_next, turns_of
 from insonify.report.map_html import write_map_report
 from insonify.results.map import load_mapper
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing, ScanPath
@@ -149,9 +150,21 @@ def test_clearance_is_to_the_nearest_occupied_voxel() -> None:
     slots = voxels.allocate(np.array([[0, 0, 0]], np.int32))
     voxels.log_odds[slots[0], 0] = 1.0  # centred at (0.5, 0.5, 0.5)
     path = ScanPath((Pose(-5.0, 4.5, 0.5), Pose(5.0, 4.5, 0.5)))
-    distance = clearance_m(voxels, Pose(-5.0, 9.0, 0.5), path)
+    distance = clearance_m(voxels, (Pose(-5.0, 9.0, 0.5), *path.waypoints))
     assert distance == pytest.approx(4.0 - math.sqrt(3.0) / 2)
-    assert clearance_m(VoxelMap(1.0), Pose(0, 0, 0), path) == math.inf
+    assert clearance_m(VoxelMap(1.0), (Pose(0, 0, 0), *path.waypoints)) == math.inf
+
+
+def test_waypoints_are_where_a_way_or_its_heading_turns() -> None:
+    straight = [Pose(0.25 * k, 0.5 * k, -3.0, yaw_rad=0.3) for k in range(9)]
+    assert turns_of(straight) == (straight[0], straight[-1])
+    corner = [*straight, Pose(2.0, 9.0, -3.0, yaw_rad=0.3)]
+    assert turns_of(corner) == (straight[0], straight[-1], corner[-1])
+    turning = [*straight[:4], *(replace(pose, yaw_rad=0.4) for pose in straight[4:])]
+    assert turns_of(turning) == (turning[0], turning[3], turning[4], turning[-1])
+    back = [straight[0], straight[4], straight[2]]
+    assert turns_of(back) == tuple(back)
+    assert turns_of(straight[:1]) == (straight[0],)
 
 
 def _spot(dtype: str, loudest: float, path: Path) -> Path:

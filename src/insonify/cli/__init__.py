@@ -36,6 +36,7 @@ from insonify.cli import simulation
 from insonify.cli import tours
 from insonify.cli import datasets
 from insonify.cli import exports
+from insonify.cli import runs
 from insonify.cli import listings
 from insonify.cli import configs
 from insonify.cli import warming
@@ -56,6 +57,7 @@ __all__ = [
     "plans",
     "recordings",
     "reports",
+    "runs",
     "scans",
     "simulation",
     "tours",

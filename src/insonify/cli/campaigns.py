@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insonify.cli.printing import say, say_json, say_listing, say_table, tell
-from insonify.cli.progress import Bar, progress
+from insonify.cli.progress import Bar, begin, progress
 from insonify.cli.root import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -48,6 +48,7 @@ def campaign(
     as_json: JsonOption = False,
 ) -> None:
     """Fly mappers x planners x scenarios x sonars x navigation x seeds; killed, it goes on."""
+    begin("starting")
     from insonify.mission.campaign import read_campaign
     from insonify.mission.crew import all_cores
     from insonify.results.campaign import CAMPAIGN, run_campaign

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say, say_json, say_listing
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.root import JsonOption, app
 
@@ -24,6 +24,7 @@ def check(
     as_json: JsonOption = False,
 ) -> None:
     """Tell whether a recording is mirrored, tilted the wrong way or off in time."""
+    begin("starting")
     from insonify.io.recordings import open_recording
     from insonify.mission.check import check_recording
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say, say_json, say_table, tell
+from insonify.cli.progress import begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -26,7 +27,7 @@ from insonify.cli.root import (
     interruptible,
     single_layers,
 )
-from insonify.cli.scans import shown_run
+from insonify.cli.scans import steps_on
 from insonify.cli.vehicles import (
     CurrentOption,
     VehicleOption,
@@ -77,6 +78,7 @@ def compare(
 
     With a vehicle: compare maps made by its own navigation with those of perfect navigation.
     """
+    begin("starting")
     if vehicle is None and current is not None:
         raise ConfigError("--current needs a vehicle to fly; add --vehicle bluerov2, for one")
     if vehicle is not None and planners:
@@ -88,8 +90,8 @@ def compare(
     layers = [*file_layers(config), chosen, *_compared(settings, vehicle)]
     flown = vehicle is not None
     with result_folder_if(out, force) as scratch, interruptible() as interrupted:
-        with shown_run() as watch:
-            how = {"workers": workers, "watch": watch, "should_stop": interrupted}
+        with progress("setting up") as bar:
+            how = {"workers": workers, "watch": steps_on(bar), "should_stop": interrupted}
             rows = _runs(names, seeds, layers, planners, flown, how)
         if not rows:
             tell("insonify: interrupted before the first run was complete")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insonify.cli.printing import say, say_json, say_listing, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -60,6 +60,7 @@ def dataset(
     as_json: JsonOption = False,
 ) -> None:
     """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
+    begin("starting")
     from insonify.imaging.dataset import dataset_config
     from insonify.io.folders import unused_folder
     from insonify.mission.crew import all_cores

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say, say_json, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.root import JsonOption, app
 
@@ -46,6 +46,7 @@ def explain(
     as_json: JsonOption = False,
 ) -> None:
     """Say which pings made a voxel what it is, by mapping them again."""
+    begin("starting")
     from insonify.io.maps import load_map
     from insonify.mission.explanation import explain_voxel, voxel_at
     from insonify.results.map import config_of, empty_mapper

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from insonify.cli.printing import say, say_json
+from insonify.cli.progress import begin
 from insonify.cli.root import JsonOption, app, datum_from_text
 
 
@@ -38,6 +39,7 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write a map in the format of another program; OUT's suffix names it."""
+    begin("starting")
     from insonify.io.folders import result_file
     from insonify.io.maps import load_map, save_map
     from insonify.mapping.voxels import OBSERVED

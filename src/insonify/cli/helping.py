@@ -13,8 +13,9 @@ PANELS = {
     "Mapping": "mapper voxel threshold region",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic",
-    "Vehicle": "clearance vehicle current navigation real_time",
-    "Output": "out force as_json live mcap picture every quiet port host workers scheduler",
+    "Vehicle": "clearance speed vehicle current navigation real_time",
+    "Output": "out force as_json live mcap picture every quiet port host workers scheduler prune "
+    "yes",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
 
@@ -87,6 +88,11 @@ EXAMPLES = {
     ),
     "info": ("insonify info dive.mcap", "insonify info sonar.aris --picture ping.png"),
     "view": ("insonify view insonify-runs/tetrapod-entropy-seed0", "insonify view map.zarr"),
+    "plan": (
+        'insonify plan map --from "0 0 -15 90" --datum "41.5 -71.3" --out next',
+        'insonify plan insonify-runs/mine --from "8 0 -14 180" --picture next.png',
+    ),
+    "runs": ("insonify runs", "insonify runs --prune"),
     "export": ("insonify export run map.bt", "insonify export run surface.ply"),
 }
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say_json, say_listing, tell
+from insonify.cli.progress import begin
 from insonify.cli.root import (
     EXIT_NOTHING,
     JsonOption,
@@ -19,16 +20,16 @@ from insonify.cli.root import (
     datum_from_text,
     single_layers,
 )
+from insonify.cli.words import plan_rows
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
-    from insonify.io.datum import Datum
     from insonify.mapping.voxels import VoxelMap
     from insonify.mission.setup import Config
     from insonify.planning.active import EntropySettings
     from insonify.planning.decision import Decision
     from insonify.sonar.devices import SonarDevice
-    from insonify.types import Box, Pose
+    from insonify.types import Box, Pose, ScanPath
 
 
 RegionOption = Annotated[
@@ -70,7 +71,13 @@ def plan(
             help="Least, to what is mapped. Default: the scan's, or 0.4.",
         ),
     ] = None,
-    waypoints: Annotated[int, typer.Option(min=1, max=10000, help="Of the scan.")] = 40,
+    waypoints: Annotated[int, typer.Option(min=1, max=10000, help="Pings of the scan.")] = 40,
+    speed: Annotated[
+        float, typer.Option(min=0.01, max=10.0, metavar="M/S", help="How fast it is to be flown.")
+    ] = 0.5,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Draw it from above and from the side.")
+    ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the path.")] = Path("plan"),
     settings: SetOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
@@ -78,9 +85,13 @@ def plan(
 ) -> None:
     """Plan the next scan path from a map: where it would resolve most of what is undecided."""
     from insonify.cli.recordings import box_from_text
-    from insonify.planning.once import plan_next
+    from insonify.io.folders import result_folder
+    from insonify.io.plans import save_plan
+    from insonify.planning.once import plan_next, turns_of
     from insonify.results.map import load_mapper
+    from insonify.types import ScanPath
 
+    begin("reading the map")
     told = _pose(from_)
     place = datum_from_text(datum) if datum is not None else None
     entropy = _entropy(settings)
@@ -93,44 +104,67 @@ def plan(
     if region is not None:
         box = box_from_text(region).relative_to(origin_m)
     decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
-    least_m = _least_clearance_m(file) if clearance is None else clearance
-    _write(mapper.voxels, decision, pose, box, place, least_m, out, force=force, as_json=as_json)
-
-
-def _write(
-    voxels: VoxelMap,
-    decision: Decision,
-    pose: Pose,
-    region: Box,
-    place: Datum | None,
-    least_m: float,
-    out: Path,
-    *,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Write a decision's path, unless it comes too near, and say what came of it."""
-    from insonify.io.folders import result_folder
-    from insonify.io.plans import save_plan
-    from insonify.planning.once import clearance_m
-
-    document = _describe(decision, pose, region, voxels.origin_m)
+    document = _describe(decision, pose, box, origin_m)
     if decision.path is not None:
-        near_m = clearance_m(voxels, pose, decision.path)
-        if near_m < least_m:
-            raise GeometryError(
-                f"the way there or the scan comes within {near_m:.2f} m of an occupied voxel, and "
-                f"{least_m:g} m is the least; start elsewhere (--from), or allow it (--clearance)"
-            )
-        document["clearance_m"] = round(near_m, 3)
+        least_m = _least_clearance_m(file) if clearance is None else clearance
+        way = _way_there(mapper.voxels, pose, decision.path, least_m)
+        document |= _describe_way(mapper.voxels, pose, way, decision.path) | {"speed_mps": speed}
         with result_folder(out, force=force) as folder:
-            document["files"] = save_plan(decision.path, folder.scratch, place, voxels.origin_m)
+            flown = ScanPath((*way[:-1], *turns_of(decision.path.waypoints)))
+            document["files"] = save_plan(flown, folder.scratch, place, origin_m, speed)
+            document["waypoints"] = len(flown.waypoints)
             (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
+    if picture is not None:
+        _draw(picture, mapper.voxels, box, decision, (pose, *way) if decision.path else (pose,))
+    _tell(document, out, as_json=as_json, placed=place is not None)
+
+
+def _way_there(voxels: VoxelMap, pose: Pose, path: ScanPath, least_m: float) -> tuple[Pose, ...]:
+    """The way to a scan's first pose, round what is mapped.
+
+    Raises:
+        GeometryError: There is none, or the scan itself comes too near.
+    """
+    from insonify.planning.once import clearance_m, half_diagonal_m
+    from insonify.vehicle.autopilot.routing import clear_route, obstacles_near
+
+    start, far_m = path.waypoints[0], least_m + half_diagonal_m(voxels)
+    near_m = clearance_m(voxels, path.waypoints)
+    here_m = clearance_m(voxels, (pose,))
+    if min(near_m, here_m) < least_m:
+        what = "the scan comes" if near_m < least_m else "the vehicle is"
+        raise GeometryError(
+            f"{what} within {min(near_m, here_m):.2f} m of an occupied voxel, and {least_m:g} m is "
+            "the least; start elsewhere (--from), or allow it (--clearance)"
+        )
+    way: tuple[Pose, ...] | None = (start,)
+    if least_m > 0.0:
+        way = clear_route(pose, (start,), obstacles_near(voxels, (pose, start), far_m), far_m)
+    if way is None or clearance_m(voxels, (pose, *way)) < least_m:
+        raise GeometryError(
+            f"no way to the scan keeps {least_m:g} m from what is mapped at the vehicle's height; "
+            "start elsewhere (--from), or allow less (--clearance)"
+        )
+    return way
+
+
+def _draw(
+    picture: Path, voxels: VoxelMap, region: Box, decision: Decision, way: tuple[Pose, ...]
+) -> None:
+    from insonify.io.folders import write_file
+    from insonify.report.plan_pictures import draw_plan
+
+    write_file(picture, draw_plan(voxels, region, decision, way))
+    tell(f"Picture: {picture}")
+
+
+def _tell(document: dict[str, Any], out: Path, *, as_json: bool, placed: bool) -> None:
+    """Say what came of it."""
     if as_json:
         say_json(document)
     else:
-        say_listing(["what", "value"], [[key, str(value)] for key, value in document.items()])
-    if decision.path is None:
+        say_listing(["what", "value"], plan_rows(document))
+    if "start" not in document:
         tell("insonify: no scan is worth flying; no path was written")
         raise typer.Exit(EXIT_NOTHING)
     if document["clearance_m"] < 1.0:
@@ -138,9 +172,9 @@ def _write(
             f"insonify: warning: the way there or the scan comes within "
             f"{document['clearance_m']:g} m of an occupied voxel; look before it is flown"
         )
-    if place is None:
+    if not placed:
         tell("insonify: no --datum, so no GeoJSON and no QGroundControl plan")
-    tell(f"Path: {folder.target}")
+    tell(f"Path: {out}")
 
 
 def _least_clearance_m(file: Path) -> float:
@@ -230,7 +264,7 @@ def _describe(
     document: dict[str, Any] = {
         "from": [*world(pose.position_m), round(math.degrees(pose.yaw_rad), 6)],
         "region_m": [world(region.low_m), world(region.high_m)],
-        "stop": decision.stop.sentence if decision.stop is not None else None,
+        "stop": decision.why_not,
     }
     look = decision.look
     if look is not None:
@@ -238,15 +272,27 @@ def _describe(
             "cluster_voxels": len(look.cluster.voxels_m),
             "cluster_centre_m": world(look.cluster.centre_m),
             "cluster_entropy_bits": round(look.cluster.entropy, 2),
+            "candidates": len(look.candidates),
             "best_candidate": look.best,
             "best_share": round(float(look.h_cluster[look.best] / look.cluster.entropy), 4),
         }
-    if decision.path is not None:
-        start = decision.path.waypoints[0]
-        document |= {
-            "start": [*world(start.position_m), math.degrees(start.yaw_rad)],
-            "length_m": round(decision.path.length_m, 4),
-            "transit_m": round(math.dist(pose.position_m, start.position_m), 4),
-            "waypoints": len(decision.path.waypoints),
-        }
     return document
+
+
+def _describe_way(
+    voxels: VoxelMap, pose: Pose, way: tuple[Pose, ...], path: ScanPath
+) -> dict[str, Any]:
+    """The scan, and the way there, in the world's coordinates."""
+    from insonify.planning.once import clearance_m
+
+    start, whole = path.waypoints[0], (pose, *way)
+    place = [c + o for c, o in zip(start.position_m, voxels.origin_m, strict=True)]
+    legs = zip(whole, way, strict=False)
+    return {
+        "start": [*(round(c, 4) for c in place), round(math.degrees(start.yaw_rad), 6)],
+        "length_m": round(path.length_m, 4),
+        "pings": len(path.waypoints),
+        "transit_m": round(sum(math.dist(a.position_m, b.position_m) for a, b in legs), 4),
+        "detour": len(way) > 1,
+        "clearance_m": round(clearance_m(voxels, (*whole, *path.waypoints)), 3),
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 from insonify.names import plain
@@ -17,11 +17,29 @@ MOST_CHARACTERS = 1000
 """Of a message: of a longer one the middle is left out."""
 
 
+_LEAST_WIDE = 24
+"""Characters that the last column of a table needs, if it has as many."""
+
+
 class ReaderGoneError(Exception):
     """Who reads what is printed has gone; it is not the system's error, which typer would take."""
 
 
+_before: list[Callable[[], None]] = []
+
+
+def before_output(ended: Callable[[], None]) -> None:
+    """Call something once, before the next that is said."""
+    _before.append(ended)
+
+
+def _clear() -> None:
+    while _before:
+        _before.pop()()
+
+
 def _out(text: str, *, flush: bool = False) -> None:
+    _clear()
     try:
         print(text, flush=flush)
     except BrokenPipeError as err:
@@ -46,6 +64,7 @@ def say_json(told: Any, *, indent: int | None = 2, flush: bool = False) -> None:
 
 def tell(text: str, *, flush: bool = False) -> None:
     """A message, on stderr."""
+    _clear()
     line = plain(text)
     if len(line) > MOST_CHARACTERS:
         line = f"{line[: MOST_CHARACTERS - 300]} ... {line[-250:]}"
@@ -68,9 +87,18 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def say_listing(head: list[str], rows: Iterable[list[str]]) -> None:
-    """A table of text, on stdout."""
+    """A table of text, on stdout; where that is too narrow for it, a cell a line."""
     from rich.table import Table
 
+    rows = [[plain(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    left = console().width - sum(widths[:-1]) - 3 * len(widths) - 1
+    if len(head) > 2 and left < min(widths[-1], _LEAST_WIDE):
+        for row in rows:
+            say(row[0])
+            for title, cell in zip(head[1:], row[1:], strict=True):
+                say(f"  {title}: {cell}")
+        return
     table = Table()
     for number, title in enumerate(head):
         last = number == len(head) - 1
@@ -82,4 +110,5 @@ def say_listing(head: list[str], rows: Iterable[list[str]]) -> None:
 
 def say_table(table: Table) -> None:
     """A table of rich, on stdout."""
+    _clear()
     console().print(table)

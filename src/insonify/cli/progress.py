@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
+import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from insonify.cli.printing import console, tell
+from insonify.cli.printing import before_output, console, tell
 from insonify.names import plain
 
 if TYPE_CHECKING:
@@ -56,7 +58,8 @@ class Bar:
         self._started = time.perf_counter()
         self._name, self._total = plain(name), total
         if self._progress is not None:
-            self._progress.reset(self._task, total=total, description=self._name, note="")
+            self._progress.remove_task(self._task)  # a reset one would keep its total
+            self._task = self._progress.add_task(self._name, total=total, note="")
 
     def rate(self, done: int) -> float:
         """Things done each second since the last `restart`."""
@@ -68,9 +71,12 @@ class Bar:
             self._progress.update(self._task, note=note)
 
     @contextmanager
-    def drawn(self) -> Iterator[Bar]:
-        """Draw it while the block lasts."""
+    def drawn(self, *, alone: bool = True) -> Iterator[Bar]:
+        """Draw it while the block lasts, ``alone`` in the place of the one of `begin`."""
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        if alone:
+            _first.close()
 
         shown = console(stderr=True)
         columns = (
@@ -80,7 +86,7 @@ class Bar:
         )
         with Progress(
             *columns, TimeElapsedColumn(), console=shown, transient=True,
-            disable=not shown.is_terminal,
+            disable=not shown.is_terminal, redirect_stdout=alone,
         ) as self._progress:  # fmt: skip
             self._task = self._progress.add_task(self._name, total=self._total, note="")
             _drawn.append(self)
@@ -93,6 +99,20 @@ class Bar:
 
 _drawn: list[Bar] = []
 """The bars on the screen."""
+_first = ExitStack()
+"""Closes the bar that a command begins with."""
+
+
+def begin(name: str) -> None:
+    """Draw a bar at once, before anything is imported, until there is another or something to say.
+
+    Args:
+        name: What is going on.
+    """
+    if sys.stderr.isatty():
+        _first.enter_context(Bar(name).drawn(alone=False))
+        before_output(_first.close)
+        atexit.register(_first.close)
 
 
 @contextmanager

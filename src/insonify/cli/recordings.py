@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say_json, say_listing, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -70,6 +70,7 @@ def info(
     as_json: JsonOption = False,
 ) -> None:
     """Say what is in a recording: ARIS, Oculus, arrays, images, bags."""
+    begin("starting")
     from insonify.io.recordings import open_recording
     from insonify.io.recordings.poses import is_telemetry, read_poses
     from insonify.io.recordings.summary import summarise, summarise_poses
@@ -113,6 +114,7 @@ def map_(
     as_json: JsonOption = False,
 ) -> None:
     """Build an occupancy map, its entropy and a report from recordings."""
+    begin("starting")
     from insonify.io.folders import result_folder
     from insonify.io.recordings import open_recording
     from insonify.mapping.factory import make_mapper

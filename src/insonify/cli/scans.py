@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insonify.cli.printing import say, say_json, say_table, tell
-from insonify.cli.progress import progress
+from insonify.cli.printing import console, say, say_json, say_table, tell
+from insonify.cli.progress import Bar, begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
     ForceOption,
+    Interrupted,
     JsonOption,
     MapperOption,
     ModelOption,
@@ -29,6 +30,7 @@ from insonify.cli.root import (
     interruptible,
     print_report,
 )
+from insonify.cli.runs import folder_bytes, size_text
 from insonify.cli.vehicles import (
     CurrentOption,
     NavigationOption,
@@ -47,6 +49,14 @@ if TYPE_CHECKING:
     from insonify.mission.result import ScanResult
     from insonify.mission.run import Run
     from insonify.mission.setup import Config
+
+
+_ENDING = (
+    "ending the scan here, and scoring it; the same command goes on later (Ctrl-C again: stop at "
+    "once, and go on later too)"
+)
+_WIDE = 74
+"""Characters that all scores take; in fewer, those from F2 on are left out."""
 
 
 @app.command()
@@ -77,6 +87,7 @@ def scan(
     as_json: JsonOption = False,
 ) -> None:
     """Scan an object, decide where to scan next until it no longer pays, and report."""
+    begin("starting")
     chosen = choices(
         planner=absolute(planner),
         mapper=absolute(mapper),
@@ -103,24 +114,34 @@ def _scan(
     pace: Callable[[float], None],
 ) -> None:
     from insonify.cli.views import live_page, serve
-    from insonify.io.folders import unused_folder
-    from insonify.results.scan import run_scan
+    from insonify.results.scan import place_for, run_scan
 
     name = file_name(f"{config.scenario}-{_short(config.planner)}-seed{config.seed}")
-    folder = out or unused_folder(Path("insonify-runs") / name)
+    folder = out or place_for(config, Path("insonify-runs") / name)
     page = live_page(name) if live else None
-    with interruptible() as interrupted, shown_run() as show:
-        watch = _each(show, *([page.watch] if page else []))
-        result, target = run_scan(
-            config, folder, force=force, watch=watch, should_stop=interrupted, pace=pace
-        )
+    with interruptible(_ENDING) as interrupted, progress("setting up") as bar:
+        watch = _each(steps_on(bar), *([page.watch] if page else []))
+        try:
+            result, target = run_scan(
+                config, folder, force=force, watch=watch, phase=partial(bar.restart, total=None),
+                should_stop=interrupted, pace=pace,
+            )  # fmt: skip
+        except Interrupted as err:
+            tell("insonify: stopped; the same command goes on after the pings that are recorded")
+            raise typer.Exit(EXIT_INTERRUPTED) from err
     if as_json:
         say_json(result.to_json())
     else:
         print_result(result)
     print_report(target)
+    if out is None:
+        size = size_text(folder_bytes(target))
+        tell(
+            f"insonify: {target} takes {size}; `insonify runs` lists them, and clears repeated ones"
+        )
     if interrupted():
-        tell("insonify: interrupted; what was scanned until then is kept")
+        tell("insonify: interrupted; this is what was scanned until then, and the same command "
+             "goes on")  # fmt: skip
         raise typer.Exit(EXIT_INTERRUPTED)
     if page is not None:
         tell("insonify: the view stays open until Ctrl-C")
@@ -151,23 +172,21 @@ def _each(*consumers: Callable[[Run, Step], None]) -> Callable[[Run, Step], None
     return watch
 
 
-@contextmanager
-def shown_run() -> Iterator[Callable[[Run, Step], None]]:
-    """A progress bar, fed by the steps of one run after another."""
-    from insonify.mission.loop import Decided, Mapped
+def steps_on(bar: Bar) -> Callable[[Run, Step], None]:
+    """What shows the steps of one run after another on a bar."""
+    from insonify.mission.loop import Decided, Mapped, Scanned
 
-    with progress("setting up") as bar:
+    def watch(run: Run, step: Step) -> None:
+        title = f"{run.config.scenario} {run.planner}"
+        if isinstance(step, Decided) and step.decision.path is not None:
+            bar.restart(f"{title}, scan {len(run.paths) + 1}", len(step.decision.path.waypoints))
+        elif isinstance(step, Mapped):
+            done = len(run.paths[-1].waypoints)
+            bar.show(done, note=f"{bar.rate(done):.0f} pings/s")
+        elif isinstance(step, Scanned):
+            bar.restart(f"{title}, deciding", None)
 
-        def watch(run: Run, step: Step) -> None:
-            if isinstance(step, Decided):
-                title = f"{run.config.scenario} {run.planner}, scan {len(run.paths) + 1}"
-                path = step.decision.path
-                bar.restart(title, len(path.waypoints) if path is not None else 1)
-            elif isinstance(step, Mapped):
-                done = len(run.paths[-1].waypoints)
-                bar.show(done, note=f"{bar.rate(done):.0f} pings/s")
-
-        yield watch
+    return watch
 
 
 def print_result(result: ScanResult) -> None:
@@ -178,11 +197,13 @@ def print_result(result: ScanResult) -> None:
         f"{result.scenario}, {result.planner} planner, seed {result.seed}: "
         f"{result.scans} scans, {result.pings} pings, {result.path_m:.1f} m"
     )
-    table = RichTable("truth", "match", "precision", "recall", "F1", "F2", "F3", title=title)
+    heads = ["precision", "recall", "F1", "F2", "F3"]
+    heads = heads[: 3 if console().width < _WIDE else None]
+    table = RichTable("truth", "match", *heads, title=title)
     for kind, matches in result.metrics.items():
         for match, scores in matches.items():
             values = [f"{value:.3f}" for value in scores.values()]
-            table.add_row(kind, match.replace("_", " "), *values)
+            table.add_row(kind, match.replace("_", " "), *values[: len(heads)])
     say_table(table)
     if result.vehicle is not None:
         flown, error = result.vehicle, result.vehicle.pose_error
@@ -192,4 +213,4 @@ def print_result(result: ScanResult) -> None:
             f"{error['position_mean_m']:.2f} m in the mean, {error['position_max_m']:.2f} m at "
             f"most. Mapped at the true poses, solid F1 would be {perfect:.3f}."
         )
-    say(result.stop_reason.sentence)
+    say(result.why_stopped or result.stop_reason.sentence)

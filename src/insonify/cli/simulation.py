@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insonify.cli.printing import say, say_json, say_table, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -96,6 +96,7 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a sonar in a world: images, arrays with their geometry, and their truth."""
+    begin("starting")
     from insonify.imaging.route import simulation_config
 
     chosen = choices(sonar=absolute(sonar), model=model, renderer=renderer, seed=seed)

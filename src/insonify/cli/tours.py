@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insonify.cli.printing import say, say_json, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
@@ -82,6 +82,7 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly a vehicle with several sonars over a world; each pings on its own clock."""
+    begin("starting")
     from insonify.imaging.tour import tour_config
 
     chosen = choices(

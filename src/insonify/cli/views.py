@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from insonify.cli.printing import say_json, tell
-from insonify.cli.progress import progress
+from insonify.cli.progress import begin, progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.recordings import RegionOption, VoxelOption, box_from_text, map_config
 from insonify.cli.root import JsonOption, SetOption, app, interruptible
@@ -36,6 +36,7 @@ def view(
     as_json: JsonOption = False,
 ) -> None:
     """Show a run, a map or a recording in the browser, ping by ping."""
+    begin("starting")
     from insonify.view.page import Page
     from insonify.view.sources import open_story
 

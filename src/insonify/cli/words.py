@@ -57,6 +57,45 @@ def pose_rows(summary: dict[str, Any]) -> list[list[str]]:
     ]
 
 
+def plan_rows(document: dict[str, Any]) -> list[list[str]]:
+    """Rows of a table for what ``plan`` tells."""
+    low, high = document["region_m"]
+    rows = [["vehicle", _pose(document["from"])], ["region", f"{_point(low)} to {_point(high)}"]]
+    if "cluster_voxels" in document:
+        settled = f"{100.0 * document['best_share']:.3g} % of it"
+        rows += [
+            ["largest undecided cluster",
+             f"{document['cluster_voxels']:,} voxels, "
+             f"{document['cluster_entropy_bits']:,.0f} bits, "
+             f"around {_point(document['cluster_centre_m'])}"],
+            [f"best of {document['candidates']} poses", f"would settle {settled}"],
+        ]  # fmt: skip
+    if "start" in document:
+        rows += [
+            ["scan begins at", _pose(document["start"])],
+            ["scan", f"{document['length_m']:.3g} m, {document['pings']} pings"],
+            ["way there", f"{document['transit_m']:.3g} m"
+             f"{', round what is mapped' if document['detour'] else ''}"],
+            ["speed", f"{document['speed_mps']:g} m/s"],
+            ["least clearance", f"{document['clearance_m']:.3g} m"],
+            ["files", ", ".join(document["files"])],
+        ]  # fmt: skip
+    if document["stop"] is not None:
+        rows.append(["nothing to scan", document["stop"]])
+    return rows
+
+
+def _point(place_m: list[float]) -> str:
+    return f"({', '.join(f'{c:.4g}' for c in place_m)}) m"
+
+
+def _pose(pose: list[float]) -> str:
+    """Place and yaw, counted from east to north, with the compass heading."""
+    *place_m, yaw_deg = pose
+    heading = (90.0 - yaw_deg) % 360.0
+    return f"{_point(place_m)}, yaw {yaw_deg:.4g} degrees (compass {heading:.0f})"
+
+
 def _moment(time_s: float) -> str:
     """A time of a clock; of one that counts from 1970, as a date."""
     if not _EPOCH_S < time_s < 4e9:

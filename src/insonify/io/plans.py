@@ -16,9 +16,11 @@ from typing import Any
 from insonify.io.datum import Datum
 from insonify.types import Pose, ScanPath
 
-_WAYPOINT, _RELATIVE_ALTITUDE, _ARDUPILOT, _SUBMARINE = 16, 3, 3, 12
-"""MAVLink's numbers: MAV_CMD_NAV_WAYPOINT, MAV_FRAME_GLOBAL_RELATIVE_ALT,
-MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_SUBMARINE."""
+_WAYPOINT, _CHANGE_SPEED, _GROUND_SPEED = 16, 178, 1
+_MISSION, _RELATIVE_ALTITUDE, _ARDUPILOT, _SUBMARINE = 2, 3, 3, 12
+"""MAVLink's numbers: MAV_CMD_NAV_WAYPOINT, MAV_CMD_DO_CHANGE_SPEED, SPEED_TYPE_GROUNDSPEED,
+MAV_FRAME_MISSION, MAV_FRAME_GLOBAL_RELATIVE_ALT, MAV_AUTOPILOT_ARDUPILOTMEGA,
+MAV_TYPE_SUBMARINE."""
 
 
 def heading_deg(pose: Pose) -> float:
@@ -31,6 +33,7 @@ def save_plan(
     folder: Path,
     datum: Datum | None,
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    speed_mps: float = 0.5,
 ) -> list[str]:
     """Write a path in every form; GeoJSON and QGroundControl's need a datum.
 
@@ -39,6 +42,7 @@ def save_plan(
         folder: Where to.
         datum: Where the map's own frame lies on the Earth.
         origin_m: Where it lies in the world.
+        speed_mps: How fast it is to be flown, which QGroundControl's plan tells.
 
     Returns:
         The names of the files.
@@ -53,7 +57,7 @@ def save_plan(
     texts = {"path.csv": _csv(path, world, datum), "path.yaml": _ros_yaml(world)}
     if datum is not None:
         texts["path.geojson"] = json.dumps(_geojson(path, datum), indent=2) + "\n"
-        texts["path.plan"] = json.dumps(_qgroundcontrol(path, datum), indent=2) + "\n"
+        texts["path.plan"] = json.dumps(_qgroundcontrol(path, datum, speed_mps), indent=2) + "\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     with McapWriter(folder / "path.mcap") as writer:
@@ -116,10 +120,19 @@ def _geojson(path: ScanPath, datum: Datum) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": features}
 
 
-def _qgroundcontrol(path: ScanPath, datum: Datum) -> dict[str, Any]:
+def _qgroundcontrol(path: ScanPath, datum: Datum, speed_mps: float) -> dict[str, Any]:
     """A plan file for ArduSub: heights are relative to home, which is the datum, so negative."""
-    items = []
-    for number, pose in enumerate(path.waypoints, 1):
+    items: list[dict[str, Any]] = [
+        {
+            "autoContinue": True,
+            "command": _CHANGE_SPEED,
+            "doJumpId": 1,
+            "frame": _MISSION,
+            "params": [_GROUND_SPEED, speed_mps, -1, 0, 0, 0, 0],
+            "type": "SimpleItem",
+        }
+    ]
+    for number, pose in enumerate(path.waypoints, 2):
         latitude, longitude, height = datum.geodetic(pose)
         altitude = round(height - datum.height_m, 4)
         heading = round(heading_deg(pose), 4)
@@ -146,8 +159,8 @@ def _qgroundcontrol(path: ScanPath, datum: Datum) -> dict[str, Any]:
             "version": 2,
             "firmwareType": _ARDUPILOT,
             "vehicleType": _SUBMARINE,
-            "cruiseSpeed": 1,
-            "hoverSpeed": 1,
+            "cruiseSpeed": speed_mps,
+            "hoverSpeed": speed_mps,
             "globalPlanAltitudeMode": 1,
             "plannedHomePosition": home,
             "items": items,

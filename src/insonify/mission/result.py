@@ -81,6 +81,9 @@ class ScanResult(Result):
     pings: int
     path_m: float
     stop_reason: StopReason
+    why_stopped: str | None = Field(
+        None, description="in a sentence, with the numbers compared; older files do not tell"
+    )
     metrics: Metrics
     history: tuple[ScanRow, ...]
     region_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = Field(

@@ -149,12 +149,21 @@ class Run:
             pings=self.pings,
             path_m=round(self.path_m, 6),
             stop_reason=self.stop_reason,
+            why_stopped=self._why_stopped,
             metrics=self.history[-1].metrics,
             history=tuple(self.history),
             region_m=(region.low_m, region.high_m),
             seconds={name: round(value, 3) for name, value in self.seconds.items()},
             vehicle=None if self.flight is None else self.flight.result(self.truth),
         )
+
+    @property
+    def _why_stopped(self) -> str:
+        """In a sentence: the planner's own, if it was the planner."""
+        last = self.decisions[-1].decision if self.decisions else None
+        if last is not None and last.stop is self.stop_reason and last.why_not is not None:
+            return last.why_not
+        return self.stop_reason.sentence
 
     def account(self) -> Account:
         """The run for those who look at it."""

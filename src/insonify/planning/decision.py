@@ -76,6 +76,19 @@ class Decision:
         if self.path is not None and not self.path.waypoints:
             raise ValueError("a path needs a waypoint at least")
 
+    @property
+    def why_not(self) -> str | None:
+        """Why nothing is to be scanned, in a sentence, with the numbers that were compared."""
+        if self.stop is not StopReason.NOT_WORTH_IT or self.look is None:
+            return None if self.stop is None else self.stop.sentence
+        look = self.look
+        percent = 100.0 * float(look.h_cluster[look.best] / look.cluster.entropy)
+        return (
+            f"No further scan pays: the best of {len(look.candidates)} poses would settle "
+            f"{percent:.2g} % of the largest undecided cluster, not more than the "
+            f"{100.0 * look.termination:.3g} % that are asked (entropy.termination)."
+        )
+
 
 class Planner(Protocol):
     """Decides, from what is believed alone, where to scan next."""

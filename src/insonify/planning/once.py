@@ -38,12 +38,35 @@ def plan_next(
     return EntropyPlanner(area, geometry, settings).next_scan(belief, nav)
 
 
-def clearance_m(voxels: VoxelMap, pose: Pose, path: ScanPath) -> float:
-    """Least distance of the way to a path, and of the path, to the surface of an occupied voxel."""
-    corners = [pose, path.waypoints[0], path.waypoints[-1]]
+def clearance_m(voxels: VoxelMap, way: Sequence[Pose]) -> float:
+    """Least distance of a way's straight legs to the surface of an occupied voxel."""
     occupied = voxels.occupied_m()
-    nearest = min(_nearest_m(occupied, *leg) for leg in pairwise(corners))
-    return max(0.0, nearest - voxels.voxel_m * math.sqrt(3.0) / 2)
+    nearest = min(_nearest_m(occupied, *leg) for leg in pairwise([*way, way[-1]]))
+    return max(0.0, nearest - half_diagonal_m(voxels))
+
+
+def half_diagonal_m(voxels: VoxelMap) -> float:
+    """How far a voxel's corners are from its centre."""
+    return voxels.voxel_m * math.sqrt(3.0) / 2
+
+
+def turns_of(way: Sequence[Pose]) -> tuple[Pose, ...]:
+    """The poses of a way at which it or its heading turns, with both ends."""
+    kept = [way[0]]
+    for before, here, after in zip(way, way[1:], way[2:], strict=False):
+        into = np.subtract(here.position_m, before.position_m)
+        out = np.subtract(after.position_m, here.position_m)
+        along = float(into @ out)
+        straight = along >= 0.0 and np.linalg.norm(np.cross(into, out)) <= 1e-6 * along
+        even = max(_turned(before, here), _turned(here, after)) < 1e-6
+        if not (straight and even):
+            kept.append(here)
+    return (*kept, way[-1]) if len(way) > 1 else tuple(kept)
+
+
+def _turned(before: Pose, after: Pose) -> float:
+    """By how much the heading changes, rad."""
+    return abs(math.remainder(after.yaw_rad - before.yaw_rad, math.tau))
 
 
 def comes_near(voxels: VoxelMap, way: Sequence[Pose], clearance_m: float) -> bool:

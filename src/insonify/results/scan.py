@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from insonify.config.layers import read_table
 from insonify.config.toml import config_to_toml
 from insonify.errors import InsonifyError, MissingExtraError, ResultError
 from insonify.io.decisions import load_decisions, save_decisions
-from insonify.io.folders import RESULT, ResultFolder, result_folder
+from insonify.io.folders import RESULT, ResultFolder, result_folder, unused_folder
 from insonify.io.maps import load_map, save_map, save_point_cloud
 from insonify.io.recordings import open_recording
 from insonify.io.trajectories import load_track, save_track
@@ -24,7 +26,7 @@ from insonify.mission.setup import Config
 from insonify.planning.decision import DecisionRecord
 from insonify.results.files import CONFIG, RECORDING, load_result, save_result
 from insonify.results.mappers import save_mapper
-from insonify.types import Box, PosedPing, ScanPath
+from insonify.types import Box, PosedPing, ScanPath, StopReason
 
 MAP, CLOUD, DECISIONS, TRUTH = "map.npz", "map.ply", "decisions.npz", "truth.npz"
 TRACK, REPORT = "trajectory.csv", "report.html"
@@ -38,18 +40,21 @@ def run_scan(
     *,
     force: bool = False,
     watch: Callable[[Run, Step], None] = lambda run, step: None,
+    phase: Callable[[str], None] = lambda name: None,
     should_stop: Callable[[], bool] = lambda: False,
     pace: Callable[[float], None] = lambda time_s: None,
 ) -> tuple[ScanResult, Path]:
     """Run a scan and leave all of it in a folder, which appears when it is whole.
 
-    A scan of the same config to the same folder whose process was killed is gone on with.
+    A scan of the same config to the same folder that was interrupted, or whose process was killed,
+    is gone on with.
 
     Args:
         config: What to run.
         target: The folder.
         force: Replace the results in it.
         watch: Called after every step.
+        phase: Called with the name of what is done after the last step.
         should_stop: Asked after every ping; if true the run ends there, scored as it stands.
         pace: Called with a vehicle's time as it goes on; it may wait.
 
@@ -64,29 +69,72 @@ def run_scan(
     from insonify.results.resume import remembered
 
     text = config_to_toml(config, "scan")
+    broken_off = is_interrupted(target, text)
+    force |= broken_off
     with result_folder(target, force=force, job=text, progress=_recorded_bytes) as place:
-        known, past = remembered(place.before) if place.before is not None else (0, iter(()))
+        before = place.before or (target if broken_off else None)
+        known, past = remembered(before) if before is not None else (0, iter(()))
         if known:
             _log.info("going on after the %d pings of a scan that was broken off", known)
-        with recording(place.scratch) as record:
+        with _kept_if_stopped(place), recording(place.scratch) as record:
 
             def each(run: Run, step: Step) -> None:
                 watch(run, step)
                 record(run, step)
 
             run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
-        result = _save_or_keep(run, place)
+        result = _save_or_keep(run, place, phase)
     return result, place.target
+
+
+def place_for(config: Config, wanted: Path) -> Path:
+    """Where a scan goes that was given no folder: one of the same that was interrupted, or a new.
+
+    Args:
+        config: What is to be run.
+        wanted: The folder, or ``wanted-2``, ``wanted-3`` ... where there are others.
+    """
+    text = config_to_toml(config, "scan")
+    folder = unused_folder(wanted)
+    numbers = re.fullmatch(r".*-(\d+)", folder.name) if folder != wanted else None
+    tried = range(2, int(numbers[1])) if numbers is not None else ()
+    for one in (wanted, *(wanted.with_name(f"{wanted.name}-{k}") for k in tried)):
+        if is_interrupted(one, text):
+            return one
+    return folder
+
+
+def is_interrupted(folder: Path, config_toml: str) -> bool:
+    """Whether a folder holds a scan of a config that was interrupted, to go on with."""
+    try:
+        same = (folder / CONFIG).read_text(encoding="utf-8") == config_toml
+        result = load_result(folder) if same and (folder / RECORDING).is_file() else None
+    except (OSError, UnicodeDecodeError, ResultError):
+        return False
+    return isinstance(result, ScanResult) and result.stop_reason is StopReason.INTERRUPTED
+
+
+@contextmanager
+def _kept_if_stopped(place: ResultFolder) -> Iterator[None]:
+    """What is recorded is kept to go on with if the user stops the block at once."""
+    try:
+        yield
+    except Exception:
+        raise
+    except BaseException:
+        place.kept = True
+        raise
 
 
 def _recorded_bytes(folder: Path) -> int:
     return (folder / RECORDING).stat().st_size
 
 
-def _save_or_keep(run: Run, place: ResultFolder) -> ScanResult:
+def _save_or_keep(run: Run, place: ResultFolder, phase: Callable[[str], None]) -> ScanResult:
     """Save a run; what was scanned is kept if a fault in a user's mapper is in the way."""
     try:
-        return save_scan(run, place.scratch)
+        with _kept_if_stopped(place):
+            return save_scan(run, place.scratch, phase)
     except (OSError, InsonifyError):
         raise
     except Exception:
@@ -95,12 +143,15 @@ def _save_or_keep(run: Run, place: ResultFolder) -> ScanResult:
         raise
 
 
-def save_scan(run: Run, folder: Path | str) -> ScanResult:
+def save_scan(
+    run: Run, folder: Path | str, phase: Callable[[str], None] = lambda name: None
+) -> ScanResult:
     """Write a run into a folder that exists: all but its recording, which is written as it goes.
 
     `run_scan` does both.
     """
     folder = Path(folder)
+    phase("writing the map")
     account = run.account()
     if run.flight is not None:
         save_track(run.flight.track, folder / TRACK)
@@ -112,6 +163,7 @@ def save_scan(run: Run, folder: Path | str) -> ScanResult:
     save_point_cloud(account.voxels, folder / CLOUD, threshold, account.region)
     save_decisions(folder / DECISIONS, account.decisions, account.paths)
     save_truth(folder / TRUTH, account.truth, run.world.scene)
+    phase("writing the report")
     _report(account, folder / REPORT)
     return account.result
 
