@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.pages import SHOWN, pages, shown, with_examples
 
 import insonify
 
@@ -19,7 +20,9 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
 INTERNAL = {"cli"}
-EXAMPLE = re.compile(r'"(examples/[\w.]+):(\d+)"')
+EXAMPLE = re.compile(r"<!-- example: (examples/[\w.]+) -->")
+TALLEST_PX = 32_000
+PHONE_PX, DESKTOP_PX = 390, 1280
 
 
 class _Loads(HTMLParser):
@@ -73,21 +76,22 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_reference_lists_every_public_name_and_room() -> None:
-    pages = [(ROOT / "docs" / name).read_text("utf-8") for name in ("reference.md", "rooms.md")]
-    names, rooms = (set(re.findall(r"^::: insonify\.(\w+)", page, re.M)) for page in pages)
-    assert names == set(insonify.__all__) - {"__version__"}
+    reference = ROOT / "docs/reference"
+    listed = {
+        page.name: set(re.findall(r"^::: insonify\.(\w+)", page.read_text("utf-8"), re.M))
+        for page in reference.glob("*.md")
+    }
+    assert listed.pop("index.md") == set(insonify.__all__) - {"__version__"}
     source = Path(insonify.__file__).parent
     parts = {path.stem for path in source.glob("*.py") if not path.name.startswith("__")}
     parts |= {path.parent.name for path in source.glob("*/__init__.py")}
-    assert rooms == parts - INTERNAL
+    assert set.union(*listed.values()) == parts - INTERNAL
 
 
-def _shown() -> list[tuple[str, str, int]]:
-    """Page, example and first line of each example that the docs mean to show."""
+def _shown() -> list[tuple[str, str]]:
+    """Page and example of each example that the docs show."""
     return [
-        (page.stem, name, int(line))
-        for page in sorted((ROOT / "docs").glob("*.md"))
-        for name, line in EXAMPLE.findall(page.read_text("utf-8"))
+        (page.stem, name) for page in pages() for name in EXAMPLE.findall(page.read_text("utf-8"))
     ]
 
 
@@ -106,41 +110,48 @@ def test_files_that_the_docs_name_are_there() -> None:
     assert [(p, f) for p, f in sorted(named) if not any((h / f).is_file() for h in homes)] == []
 
 
-def test_examples_are_shown_from_their_first_import() -> None:
-    shown = _shown()
-    assert len(shown) >= 5
-    for page, name, line in shown:
-        lines = (ROOT / name).read_text("utf-8").splitlines()
-        first = next(k for k, text in enumerate(lines, 1) if text.startswith("import"))
-        assert line == first, f"{page}: {name}"
+def test_pages_show_the_examples_as_they_are() -> None:
+    assert len(_shown()) >= 8
+    for page in pages():
+        text = page.read_text("utf-8")
+        told = f"{page.name}: python -m benchmarks.pages writes its examples anew"
+        assert with_examples(text) == text, told
+        assert len(EXAMPLE.findall(text)) == len(SHOWN.findall(text)), page.name
 
 
 def test_the_built_pages_show_the_examples(site: Path) -> None:
-    for page, name, line in _shown():
+    for page, name in _shown():
         code = _Code()
         code.feed((site / f"{page}.html").read_text("utf-8"))
-        lines = (ROOT / name).read_text("utf-8").splitlines()
-        assert "\n".join(lines[line - 1 :]) in [text.strip() for text in code.blocks], name
+        assert shown(name).strip() in [text.strip() for text in code.blocks], name
 
 
-def test_no_built_page_has_a_mark_that_includes_nothing(site: Path) -> None:
-    for page in site.glob("*.html"):
+def test_no_page_shows_a_mark_instead_of_what_it_stands_for(site: Path) -> None:
+    """Neither built nor read as they are, as on a forge."""
+    for page in pages():
+        assert not re.search(r"-8<-|^ *:::(?! insonify)", page.read_text("utf-8"), re.M), page
+    for page in site.rglob("*.html"):
         text = html.unescape(re.sub(r"<[^>]*>", "", page.read_text("utf-8")))
-        assert not re.search(r"-\s*-\s*8\s*<\s*-\s*-", text), page.name
+        assert not re.search(r"-\s*8\s*<\s*-|::: insonify", text), page.name
+    for name, root in (("contributing", "CONTRIBUTING.md"), ("changelog", "CHANGELOG.md")):
+        title = (ROOT / root).read_text("utf-8").splitlines()[0].removeprefix("# ")
+        assert f">{title}<" in (site / f"{name}.html").read_text("utf-8")
 
 
 def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
-    pages = sorted(site.glob("*.html"))
-    assert {"index.html", "reference.html", "rooms.html", "view.html"} <= {p.name for p in pages}
-    for page in pages:
+    built = sorted(site.rglob("*.html"))
+    assert {"index.html", "sonar.html", "view.html"} <= {page.name for page in built}
+    for page in built:
         loads = _Loads()
         loads.feed(page.read_text(encoding="utf-8"))
         assert loads.found
         assert [url for url in loads.found if re.match(r"(https?:)?//", url)] == [], page.name
         if page.name != "404.html":
-            missing = [u for u in loads.found if u and not (site / u.split("?")[0]).is_file()]
+            missing = [
+                u for u in loads.found if u and not (page.parent / u.split("?")[0]).is_file()
+            ]
             assert [u for u in missing if not u.startswith("data:")] == [], page.name
-    reference = html.unescape((site / "reference.html").read_text(encoding="utf-8"))
+    reference = html.unescape((site / "reference/index.html").read_text(encoding="utf-8"))
     for name in ("execute", "open_recording", "Sonar", "VoxelMap"):
         assert str(getattr(insonify, name).__doc__).splitlines()[0] in reference, name
 
@@ -148,22 +159,43 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
 def test_the_search_has_its_index_as_a_script(site: Path) -> None:
     index = (site / "search" / "search_index.js").read_text("utf-8")
     assert index.startswith("var __index = {") and "entropy_map" in index
-    for page in site.glob("*.html"):
+    for page in site.rglob("*.html"):
         loads = _Loads()
         loads.feed(page.read_text("utf-8"))
+        home = site if page.name == "404.html" else page.parent
         workers = [url for url in loads.found if "iframe-worker" in url]
-        assert len(workers) == 1 and (site / workers[0].lstrip("/")).is_file(), page.name
+        assert len(workers) == 1 and (home / workers[0].lstrip("/")).is_file(), page.name
 
 
-def test_the_search_finds_from_a_file(site: Path, browser: Any) -> None:
+@pytest.mark.parametrize("start", ["index.html", "reference/sonar.html"])
+def test_the_search_finds_from_a_file(start: str, site: Path, browser: Any) -> None:
     from selenium.webdriver.support.ui import WebDriverWait
 
-    browser.get((site / "index.html").as_uri())
+    browser.get((site / start).as_uri())
     browser.find_element("css selector", "body").send_keys("/")
     browser.switch_to.active_element.send_keys("entropy_map")
-    target = (site / "rooms.html").as_uri() + "#insonify.planning.entropy.entropy_map"
+    target = (site / "reference/planning.html").as_uri() + "#insonify.planning.entropy.entropy_map"
     results = "return [...document.querySelectorAll('a.md-search-result__link')].map(a => a.href)"
     # results come while letters do
     WebDriverWait(browser, 30).until(lambda page: target in page.execute_script(results))
     assert all(link.startswith(site.as_uri()) for link in browser.execute_script(results))
     assert [line for line in browser.get_log("browser") if line["level"] == "SEVERE"] == []
+
+
+def test_pages_fit_a_phone_and_a_desktop(site: Path, browser: Any) -> None:
+    """No page scrolls sideways or without end, and none complains."""
+    sizes = "const e = document.documentElement; return [e.scrollWidth, e.scrollHeight]"
+    for width in (PHONE_PX, DESKTOP_PX):
+        screen = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+        try:
+            for page in sorted(site.rglob("*.html")):
+                if page.name == "404.html":  # its addresses are those of a server's root
+                    continue
+                browser.get(page.as_uri())
+                wide, tall = browser.execute_script(sizes)
+                assert wide <= width and tall <= TALLEST_PX, (page.name, wide, tall)
+                log = browser.get_log("browser")
+                assert [line for line in log if line["level"] == "SEVERE"] == [], page.name
+        finally:
+            browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

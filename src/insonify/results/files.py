@@ -53,7 +53,7 @@ def load_result(path: Path | str) -> Result:
         what = f"{table.get('kind')!r} of version {table['schema_version']!r}"
         raise ResultError(f"{file}: a result {what}, which this version of insonify cannot read")
     try:
-        return validated(model, table, where=str(file), see="docs/reference.md")
+        return validated(model, table, where=str(file), see="docs/reference/results.md")
     except ConfigError as err:
         raise ResultError(str(err)) from err
 
