@@ -9,6 +9,8 @@ Marks in comments, which readers of a page do not see, stand before a block:
     <!-- file: mine.py -->                        the block is this file, or its next part
     <!-- as: M = map | X Y Z YAW = 0 0 -15 0 -->  what the words of the block stand for
     <!-- first: insonify scan tetrapod -->        run before the block
+    <!-- picture: out/ping.png = images/gallery/ping.webp -->
+                                                  what the block leaves is this image of the page
     <!-- not run: it takes hours -->              the block is not run, and why
     <!-- not run dask worker: a cluster -->       the lines are not run that begin so
 """
@@ -32,6 +34,8 @@ ELSEWHERE = {
     "python -m pip": "it installs",
     "python -m venv": "it installs",
     "make": "it sets up an environment, or runs every check",
+    "python3 -m venv": "it installs",
+    ".venv/bin/pip": "it installs",
     "git": "it needs a network",
     "docker": "it needs docker",
     "dask": "it starts a cluster",
@@ -42,7 +46,7 @@ ELSEWHERE = {
 OF_OTHERS = {"torch": "it needs PyTorch", "dask_jobqueue": "it needs Slurm"}
 """Modules that no test of Python imports."""
 
-_MARK = re.compile(r"<!-- (example|file|as|first|not run)( [^:]+)?: (.+?) -->")
+_MARK = re.compile(r"<!-- (example|file|as|first|picture|not run)( [^:]+)?: (.+?) -->")
 _BLOCK = re.compile(
     r"((?:^<!-- [^\n]+ -->\n)*)^([ ]*)```(\w*)[^\n]*\n(.*?)^[ ]*```[ ]*$", re.M | re.S
 )

@@ -45,7 +45,7 @@ SMALL = {
     "compare": f"{COARSE} --set survey.baseline_scans=1 --seeds 1",
     "campaign": "--workers 1",
     "dataset": "--count 1 --workers 1 --set sonar.beams=32 --set sonar.bins=64 --force",
-    "simulate": "--set sonar.beams=64 --set sonar.bins=128 --force",
+    "simulate": "--set sonar.bins=128 --force",
     "map": "--voxel 0.4",
     "plan": "--set entropy.termination=0",
     "view": "--port 18080",
@@ -85,7 +85,7 @@ def _name(page: Path) -> str:
 def _parse(words: list[str]) -> None:
     program, *rest = words
     assert program in ("insonify", ".venv/bin/insonify"), words
-    if rest == ["--help"]:
+    if rest in (["--help"], ["--version"]):
         return
     command = GROUP.commands[rest[0]]
     if "--help" not in rest:
@@ -116,7 +116,7 @@ def test_every_extra_that_pip_is_told_is_there() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     for page in PAGES:
         for told in re.findall(r"pip install '[\w.]+\[([\w,-]+)\]'", page.read_text("utf-8")):
-            assert set(told.split(",")) <= set(project["optional-dependencies"]), page.name
+            assert set(told.split(",")) <= {*project["optional-dependencies"], "EXTRA"}, page.name
 
 
 def test_every_table_of_settings_is_toml() -> None:
@@ -324,3 +324,5 @@ def test_the_commands_of_a_page_run(
             _python(block, names)
         for command in block.commands():
             _run(command, desk)
+        for picture in block.marked("picture"):
+            assert (tmp_path / picture.split(" = ")[0]).is_file(), picture
