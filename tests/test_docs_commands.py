@@ -58,6 +58,9 @@ SMALL_FLIGHT = (
 )
 """The same of what a vehicle flies."""
 
+NO_SETTINGS = ("mapping.factory", "sonar.toml", "poses.csv")
+"""Modules and files whose names begin like a setting's."""
+
 OWNED = ("holoocean_turtle.npz",)
 """Recordings of others that the project may not hand on; who has them has them run."""
 
@@ -297,6 +300,31 @@ def _python(block: Block, names: dict[str, Any]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         exec(compile(block.text, f"{block.page}:{block.line}", "exec"), names)
+
+
+def _keys(table: dict[str, Any], above: str = "") -> Iterator[str]:
+    for key, value in table.items():
+        yield above + key
+        if isinstance(value, dict):
+            yield from _keys(value, f"{above}{key}.")
+
+
+def test_every_setting_that_a_page_names_is_there() -> None:
+    known: set[str] = set()
+    for words in ("tetrapod", "fls-tank", "structures --for dataset", "tank --for fly"):
+        told = _insonify(["insonify", "config", *words.split()], words)
+        known |= set(_keys(tomllib.loads(told)))
+    rooms = {key.split(".")[0] for key in known}
+    named = {
+        (page.name, key)
+        for page in PAGES
+        for key in re.findall(
+            r"(?:--set |`)([a-z_]+(?:\.[a-z_]+)+)(?==|`)", page.read_text("utf-8")
+        )
+        if key.split(".")[0] in rooms and key not in NO_SETTINGS
+    }
+    assert len(named) > 50
+    assert [(page, key) for page, key in sorted(named) if key not in known] == []
 
 
 @pytest.mark.slow
