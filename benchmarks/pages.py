@@ -39,6 +39,9 @@ ELSEWHERE = {
     "git": "it needs a network",
     "docker": "it needs docker",
     "dask": "it starts a cluster",
+    "jupyter": "it opens a notebook, which has tests of its own",
+    "rerun": "it opens a window",
+    "ros2": "it needs ROS 2",
     "python -m benchmarks": "minutes to hours; that the command is there is tested",
 }
 """Commands that no test runs, by how they begin."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.gallery import pictures
 from benchmarks.pages import SHOWN, pages, shown, with_examples
 
 import insonify
@@ -86,6 +87,25 @@ def test_the_reference_lists_every_public_name_and_room() -> None:
     parts = {path.stem for path in source.glob("*.py") if not path.name.startswith("__")}
     parts |= {path.parent.name for path in source.glob("*/__init__.py")}
     assert set.union(*listed.values()) == parts - INTERNAL
+
+
+def test_the_comparison_has_the_figures_of_the_readme() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    compared = " ".join((ROOT / "docs/compare.md").read_text("utf-8").split())
+    for row, said in (
+        (r"against OctoMap [^|]*\| (\d+) times faster", "takes a {}th of its time"),
+        (r"Table 1's sonar[^|]*\| (\d+) a second", "{} images a second"),
+        (r"\| (\d+ to \d+) times faster, error under 2 %", "{} times faster than the times"),
+    ):
+        found = re.search(row, readme)
+        assert found and said.format(found[1]) in compared, row
+
+
+def test_the_gallerys_pictures_are_there_and_small() -> None:
+    shown = re.findall(r"\((images/[^)]+)\)", (ROOT / "docs/gallery.md").read_text("utf-8"))
+    assert set(pictures()) <= set(shown) and len(shown) >= 10
+    for image in pictures():
+        assert (ROOT / "docs" / image).stat().st_size < 150_000, image
 
 
 def _shown() -> list[tuple[str, str]]:

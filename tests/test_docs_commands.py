@@ -25,6 +25,7 @@ from importlib.util import find_spec
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import pytest
@@ -51,6 +52,9 @@ SMALL = {
     "view": "--port 18080",
 }
 """What makes a command small, by the command; what is put behind, where the last one counts."""
+
+LONGEST_S = 120.0
+"""After so long a page that is served is closed in any case."""
 
 SMALL_FLIGHT = (
     "--set sonar.beams=16 --set sonar.bins=64 --set vehicle.ping_hz=1 "
@@ -171,17 +175,22 @@ def _as_a_process(words: list[str]) -> Iterator[None]:
         signal.signal(signal.SIGINT, heard)
 
 
+def _rests(frame: FrameType | None) -> bool:
+    """Whether a thread only waits for Ctrl-C in what serves pages."""
+    while frame is not None and frame.f_code.co_filename == threading.__file__:
+        frame = frame.f_back
+    return frame is not None and frame.f_code.co_filename == views.__file__
+
+
 def _ctrl_c_once_it_waits(done: threading.Event) -> None:
-    """Press Ctrl-C when the command only serves its page."""
-    here = threading.main_thread().ident
-    rested = 0
-    while not done.is_set() and rested < 3:
-        frame = sys._current_frames().get(here or 0)
-        rests = frame is not None and frame.f_code.co_filename == views.__file__
-        rested = rested + 1 if rests else 0
-        time.sleep(0.05)
-    if not done.is_set():
-        os.kill(os.getpid(), signal.SIGINT)
+    """Press Ctrl-C when the command only serves its page; at last in any case."""
+    here = threading.main_thread().ident or 0
+    limit, rested = time.monotonic() + LONGEST_S, 0
+    while rested < 3 and time.monotonic() < limit:
+        if done.wait(0.05):
+            return
+        rested = rested + 1 if _rests(sys._current_frames().get(here)) else 0
+    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _insonify(words: list[str], shown: str) -> str:
