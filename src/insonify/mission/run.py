@@ -12,6 +12,7 @@ import numpy as np
 
 from insonify import memory
 from insonify.config.toml import config_to_toml
+from insonify.display import Told
 from insonify.errors import ConfigError, GeometryError, MemoryLimitError
 from insonify.evaluation import GroundTruth, ghosts, ground_truth, score_map, solids_of
 from insonify.frames import world_from_sonar
@@ -86,7 +87,7 @@ class Flight:
 
 
 @dataclass(slots=True, eq=False)
-class Run:
+class Run(Told):
     """A run while it lasts, and everything it leaves behind.
 
     Attributes:

@@ -127,12 +127,12 @@ def _report(account: Account, path: Path) -> None:
 
 
 def is_scan(folder: Path) -> bool:
-    """Whether a folder is one of `save_scan`, with all that `load_scan` needs."""
+    """Whether a folder is one of `save_scan`, with all that `load_run` needs."""
     names = (RESULT, CONFIG, DECISIONS, TRUTH, MAP)
     return all((folder / name).is_file() for name in names)
 
 
-def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
+def load_run(folder: Path | str, *, with_keyframes: bool = False) -> Account:
     """Read a run back: nothing is run again, and neither its planner nor its mesh is needed.
 
     Args:

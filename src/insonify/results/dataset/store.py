@@ -13,7 +13,7 @@ from insonify.extras import optional
 from insonify.imaging.dataset import Shots
 from insonify.imaging.route import Shot
 from insonify.io.recordings.recording import Recording
-from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
+from insonify.types import POSE, Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
     "image": (np.float32, float("nan"), {"long_name": "intensity", "units": "1"}),
@@ -24,7 +24,6 @@ PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
     "shadow": (np.bool_, False, {"long_name": "hidden by what lies before"}),
 }
 """Variables over (view, bin, beam): type, what stands for a chunk not written, attributes."""
-POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 
 
 def create(path: Path, shots: Shots) -> None:
