@@ -8,13 +8,13 @@ from typer.core import TyperGroup
 
 PANELS = {
     "What": "planner planners object_ seed seeds count pose path orbit "
-    "waypoints from_ search materials settings config sql recording datum epsg",
+    "waypoints from_ search materials settings config sql recording datum epsg split license",
     "Sonar": "sonar sonars range_m model renderer truth camera",
     "Mapping": "mapper voxel threshold region",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic",
     "Vehicle": "clearance vehicle current navigation real_time",
-    "Output": "out force as_json live mcap picture every quiet port host workers scheduler",
+    "Output": "out force as_json live mcap picture every quiet port host workers scheduler formats",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
 
@@ -78,7 +78,7 @@ EXAMPLES = {
     "dataset": (
         "insonify dataset structures --count 100",
         "insonify dataset my.world --sonar oculus-m750d-1200khz --model physical --count 1000",
-        "insonify dataset structures --count 8 --range 15 --out views",
+        "insonify dataset field@0 field@1 field@2 field@3 --split 50/25/25 --format yolo",
     ),
     "map": (
         "insonify map dive.mcap --voxel 0.1 --out map",
