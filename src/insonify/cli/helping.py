@@ -87,7 +87,11 @@ EXAMPLES = {
     ),
     "info": ("insonify info dive.mcap", "insonify info sonar.aris --picture ping.png"),
     "view": ("insonify view insonify-runs/tetrapod-entropy-seed0", "insonify view map.zarr"),
-    "export": ("insonify export run map.bt", "insonify export run surface.ply"),
+    "export": (
+        "insonify export run map.bt",
+        "insonify export run points.ply",
+        "insonify export run dive.rrd",
+    ),
 }
 
 
