@@ -219,13 +219,17 @@ def _run_told(record: Run) -> tuple[str, Facts, Sequence[Facts], list[bytes]]:
 
 @_told.register
 def _campaign_told(record: Campaign) -> tuple[str, Facts, Sequence[Facts], list[bytes]]:
-    facts = {"runs": len(record.runs), "failed": len(record.failed)}
+    facts: dict[str, object] = {"runs": len(record.runs), "failed": len(record.failed)}
     if not len(record.runs):
         return record.title or "Campaign", facts, (), []
     rows = [
         {name: _mean(value) if isinstance(value, dict) else value for name, value in row.items()}
         for row in summarise_campaign(record)
     ]
+    for name in SETTING:
+        if len({row[name] for row in rows}) == 1:  # it needs no column
+            facts[name] = rows[0][name]
+            rows = [{key: value for key, value in row.items() if key != name} for row in rows]
     settings = [group for _, group in record.curves.groupby(list(SETTING), sort=False)]
     drawn = [draw_curves(group, HEADLINE) for group in settings[:_MOST_SETTINGS]]
     return record.title or "Campaign", facts, rows, drawn
