@@ -151,62 +151,28 @@ def _front_matter(counts: Counts) -> Iterator[str]:
 
 
 def _text(counts: Counts, pictured: bool, tables: list[tuple[str, str]]) -> Iterator[str]:
-    of, config = counts.of, counts.of.config
-    fan = of.geometry
-    near_m, far_m = standoffs_m(config)
-    yield f"# {_plain(_title(of))}"
+    config = counts.of.config
+    worlds = len(config.worlds)
+    yield f"# {_plain(_title(counts.of))}"
     yield ""
     yield (
-        f"{config.count:,} simulated views of {len(config.worlds)} "
-        f"{'world' if len(config.worlds) == 1 else 'worlds'} with a forward-looking sonar, each "
-        f"with what every pixel shows. Made by insonify {__version__} with seed {config.seed}; "
-        "`insonify dataset --config config.toml` makes the same bytes again."
+        f"{config.count:,} simulated views of {worlds} {'world' if worlds == 1 else 'worlds'} with "
+        "a forward-looking sonar, each with what every pixel shows. Made by insonify "
+        f"{__version__} with seed {config.seed}; `insonify dataset --config config.toml` makes the "
+        "same bytes again."
     )
     yield ""
     if pictured:
         yield f"![How often, how large and how far away each category is]({STATISTICS})"
         yield ""
-    yield from _table(
-        ("sonar", ""),
-        [
-            ("device", _plain(config.sonar.name)),
-            ("image model, renderer", f"{config.model}, {config.renderer}"),
-            ("field of view", f"{np.degrees(fan.azimuth_fov_rad):.3g}° x "
-                              f"{np.degrees(fan.elevation_fov_rad):.3g}° (azimuth x elevation)"),
-            ("image", f"{fan.bins} range bins x {fan.beams} beams, port on the left"),
-            ("range", f"{fan.range_min_m:g} to {fan.range_max_m:g} m"),
-            ("distance to what is looked at", f"{near_m:g} to {far_m:g} m"),
-        ],
-    )  # fmt: skip
-    yield "## Parts"
-    yield ""
-    yield "No world is in two parts."
-    yield ""
-    yield from _table(
-        ("part", "views", "worlds"),
-        [
-            (part, f"{int(views):,}", ", ".join(
-                _plain(name) for name, its in zip(config.names, config.parts, strict=True)
-                if its == part))
-            for part, views in zip(of.parts, counts.total, strict=True)
-        ],
-    )  # fmt: skip
-    yield "## Categories"
-    yield ""
-    whole = config.count * fan.bins * fan.beams
-    yield from _table(
-        ("category", "views", "pixels", "of all pixels"),
-        [
-            (_plain(name), f"{one['views']:,}", f"{one['pixels']:,}",
-             f"{100 * one['pixels'] / whole:.3g} %")
-            for name, one in counts.categories.items()
-        ],
-    )  # fmt: skip
-    yield "## Files"
-    yield ""
+    yield from _table(("sonar", ""), _sonar(counts.of))
+    yield from ("## Parts", "", "No world is in two parts.", "")
+    yield from _table(("part", "views", "worlds"), _parts(counts))
+    yield from ("## Categories", "")
+    yield from _table(("category", "views", "pixels", "of all pixels"), _categories(counts))
+    yield from ("## Files", "")
     yield from _table(("file", "what it is"), [(f"`{name}`", what) for name, what in tables])
-    yield "## Licence"
-    yield ""
+    yield from ("## Licence", "")
     licence = licence_of(config.license)
     yield (
         "None is chosen yet (`--license`), so nobody but its owner may use it."
@@ -215,7 +181,38 @@ def _text(counts: Counts, pictured: bool, tables: list[tuple[str, str]]) -> Iter
     )
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> Iterator[str]:
+def _sonar(of: Collection) -> Iterator[tuple[str, ...]]:
+    config, fan = of.config, of.geometry
+    wide, high = np.degrees([fan.azimuth_fov_rad, fan.elevation_fov_rad])
+    near_m, far_m = standoffs_m(config)
+    yield "device", _plain(config.sonar.name)
+    yield "image model, renderer", f"{config.model}, {config.renderer}"
+    yield "field of view", f"{wide:.3g}° x {high:.3g}° (azimuth x elevation)"
+    yield "image", f"{fan.bins} range bins x {fan.beams} beams, port on the left"
+    yield "range", f"{fan.range_min_m:g} to {fan.range_max_m:g} m"
+    yield "distance to what is looked at", f"{near_m:.3g} to {far_m:.3g} m"
+
+
+def _parts(counts: Counts) -> Iterator[tuple[str, ...]]:
+    config = counts.of.config
+    for part, views in zip(counts.of.parts, counts.total.tolist(), strict=True):
+        worlds = [
+            _plain(name)
+            for name, its in zip(config.names, config.parts, strict=True)
+            if its == part
+        ]
+        yield part, f"{views:,}", ", ".join(worlds)
+
+
+def _categories(counts: Counts) -> Iterator[tuple[str, ...]]:
+    fan = counts.of.geometry
+    whole = counts.of.config.count * fan.bins * fan.beams
+    for name, one in counts.categories.items():
+        share = f"{100 * one['pixels'] / whole:.3g} %"
+        yield _plain(name), f"{one['views']:,}", f"{one['pixels']:,}", share
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
     yield f"| {' | '.join(head)} |"
     yield f"|{'---|' * len(head)}"
     for row in rows:
