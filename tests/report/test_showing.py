@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import subprocess
 import sys
@@ -91,6 +92,22 @@ def test_a_ping_is_a_picture_in_a_notebook_always_the_same() -> None:
     posed = PosedPing(ping, Pose(1.0, 2.0, -3.0, yaw_rad=0.5))
     assert "at (1.00, 2.00, -3.00) m, yaw 29°" in posed.plot().get_title()
     assert PosedPing(ping).plot().get_title() == "3.5 s"
+
+
+def test_a_single_narrow_beam_is_no_huge_picture() -> None:
+    """Of a scanning head, which has one of a degree or so."""
+    fan = FanGeometry(0.02, 0.4, 1, 50, 0.0, 75.0)
+    ping = Ping(np.linspace(0.0, 1.0, 50, dtype=np.float32)[:, None], fan)
+    (shown,) = ping.plot().images
+    assert max(_values(ping.plot()).shape) <= 1601
+    assert tuple(shown.get_extent())[2:] == (0.0, 75.0)
+    assert max(_opened(ping._repr_png_()).size) < 2000
+
+
+def test_a_turn_of_a_head_is_drawn_all_round() -> None:
+    ping = Ping(np.ones((20, 36), np.float32), FanGeometry(math.tau, 0.4, 36, 20, 0.0, 10.0))
+    (shown,) = ping.plot().images
+    assert tuple(shown.get_extent()) == (-10.0, 10.0, -10.0, 10.0)
 
 
 def test_it_draws_into_axes_that_are_given() -> None:

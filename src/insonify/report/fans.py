@@ -60,6 +60,8 @@ class Scale:
 AS_IT_IS = Scale()
 INTENSITY = Scale(power=0.6)
 """Of the paper's images, in which sand of reflectance 1 would be all but black."""
+_NARROW_RAD = 0.1
+"""Half of a fan's azimuth below which its bearings would be written over each other."""
 _SHADOW = (0.30, 0.20, 0.45)
 
 
@@ -76,13 +78,23 @@ def bearing_text(azimuth_rad: float) -> str:
     return f"{abs(degrees):g}°{side}"
 
 
-def fan_pixels(ping: Ping, width: int = 480) -> tuple[Array, tuple[float, float, float, float]]:
+def fan_pixels(
+    ping: Ping, width: int = 480, height: int | None = None
+) -> tuple[Array, tuple[float, float, float, float]]:
     """A sonar image in Cartesian view: starboard to the right, range upwards.
+
+    Args:
+        ping: The image.
+        width: Pixels across.
+        height: Pixels upwards at most; a fan of a narrow beam has fewer across then.
 
     Returns:
         (height, width) float32, not a number outside the fan, first row nearest, and the extent
         (left, right, near, far) in metres.
     """
+    if height is not None:
+        side, near = _fan_reach(ping.geometry)
+        width = min(width, max(2, int(height * 2 * side / (ping.geometry.range_max_m - near))))
     return _to_fan(ping.image, ping.geometry, width, np.nan)
 
 
@@ -115,7 +127,7 @@ def fan_onto(axes: Axes, ping: Ping, scale: Scale, ink: str) -> AxesImage:
         scale: How values are coloured.
         ink: Colour of the labels around it.
     """
-    picture, extent = fan_pixels(ping, 800)
+    picture, extent = fan_pixels(ping, 800, 1600)
     fan_grid(axes, ping.geometry, extent, ink)
     return axes.imshow(picture, origin="lower", extent=extent, cmap="copper", norm=scale.norm)
 
@@ -218,12 +230,18 @@ def picture_png(picture: Picture) -> bytes:
     return stream.getvalue()
 
 
+def _fan_reach(geometry: FanGeometry) -> tuple[float, float]:
+    """How far a fan reaches to either side, and what of it lies lowest, 0 or astern; metres."""
+    half = geometry.azimuth_fov_rad / 2
+    side = geometry.range_max_m * (math.sin(half) if half < math.pi / 2 else 1.0)
+    return side, min(0.0, geometry.range_max_m * math.cos(half))
+
+
 def _to_fan(
     values: Float32, geometry: FanGeometry, width: int, outside: float, smooth: bool = False
 ) -> tuple[Float32, tuple[float, float, float, float]]:
     half = geometry.azimuth_fov_rad / 2
-    side = geometry.range_max_m * (math.sin(half) if half < math.pi / 2 else 1.0)
-    near = min(0.0, geometry.range_max_m * math.cos(half))
+    side, near = _fan_reach(geometry)
     scale = 2 * side / width
     height = max(2, round((geometry.range_max_m - near) / scale))
     right = (np.arange(width) + 0.5) * scale - side
@@ -300,6 +318,8 @@ def fan_grid(
             x + right * 0.03, y, f"{range_m:g} m", fontsize=7, color=ink, va="center", zorder=3
         )
     bearings = np.arange(-3, 5) * math.pi / 4 if whole else np.linspace(-half, half, 5)
+    if half < _NARROW_RAD:
+        bearings = bearings[2:3]
     for bearing in bearings:
         x, y = -far * math.sin(bearing), far * math.cos(bearing)
         axes.plot([0, x], [0, y], **line)  # type: ignore[arg-type]

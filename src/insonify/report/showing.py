@@ -130,7 +130,8 @@ def _account_onto(record: Account, axes: Axes) -> None:
         axes.plot(x, y, ".-", color=scan_colour(number), ms=3, lw=1.4, label=f"scan {number}")
         axes.plot(x[:1], y[:1], "o", color=scan_colour(number), mec="w", ms=7)
     axes.autoscale()
-    axes.legend(fontsize=8)
+    if record.paths:
+        axes.legend(fontsize=8)
     axes.set_title(_headline(record), fontsize=10)
 
 

@@ -72,6 +72,7 @@ def save_rerun(
         rerun.set_log_tick_enabled(False, recording=stream)
         stream.save(path, default_blueprint=_blueprint(rerun))
         log = _Log(rerun, stream, saved, mapper, sum(sum(one.scans) for one in played))
+        stream.send_recording_name(title)
         stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("about", rerun.TextDocument(_about(title, saved)), static=True)
         for number, scan, posed, last in _pings(played):
@@ -243,7 +244,7 @@ def _png(ping: Ping) -> bytes:
     """A ping in fan view, ahead up, port left."""
     from insonify.report.fans import fan_pixels
 
-    picture, _ = fan_pixels(ping, _WIDTH)
+    picture, _ = fan_pixels(ping, _WIDTH, 2 * _WIDTH)
     grey = np.nan_to_num(np.clip(picture[::-1], 0.0, 1.0) ** 0.6)
     stream = io.BytesIO()
     Image.fromarray(np.round(255.0 * grey).astype(np.uint8)).save(stream, format="png")
