@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 import tarfile
 from itertools import pairwise
 from pathlib import Path
@@ -241,6 +243,34 @@ def test_a_licence_of_one_s_own(tmp_path: Path) -> None:
     (tmp_path / "bad.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match=r"bad\.txt: cannot be read as the text of a licence"):
         licence_of(str(tmp_path / "bad.txt"))
+
+
+@pytest.mark.parametrize(
+    ("modules", "words", "told", "whole"),
+    [
+        (["matplotlib"], [], "no picture of the statistics is drawn: .*insonify.reports.'", True),
+        (["contourpy"], ["--format", "yolo"], "labels for YOLO needs contourpy.*insonify", False),
+        (["zarr"], [], "a dataset needs zarr.*'insonify.datasets.'", False),
+    ],
+)
+def test_what_is_not_installed_is_said(
+    modules: list[str], words: list[str], told: str, whole: bool, tmp_path: Path
+) -> None:
+    arguments = ["dataset", "tank", *SMALL, "--count", "1", "--workers", "1", *words, "--out", "d"]
+    code = (
+        f"import sys\nfor name in {modules!r}: sys.modules[name] = None\n"
+        f"sys.argv = ['insonify', *{arguments!r}]\n"
+        "from insonify.cli import main\nmain()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == (0 if whole else 2) and re.search(told, done.stderr)
+    names = {path.name for path in (tmp_path / "d").iterdir()} if whole else set()
+    assert {path.name for path in tmp_path.iterdir()} == ({"d"} if whole else set())
+    if whole:
+        assert "README.md" in names and "statistics.png" not in names
+        assert "statistics.png" not in (tmp_path / "d/README.md").read_text()
 
 
 def test_a_dataset_that_replaces_another_keeps_none_of_its_labels(tmp_path: Path) -> None:
