@@ -92,6 +92,9 @@ def test_a_ping_is_a_picture_in_a_notebook_always_the_same() -> None:
     posed = PosedPing(ping, Pose(1.0, 2.0, -3.0, yaw_rad=0.5))
     assert "at (1.00, 2.00, -3.00) m, yaw 29°" in posed.plot().get_title()
     assert PosedPing(ping).plot().get_title() == "3.5 s"
+    ahead = PosedPing(Ping(ping.image, FAN, 1371196800.0), Pose(0.0, 0.0, 0.0, yaw_rad=-1e-9))
+    assert ahead.plot().get_title().startswith("2013-06-14 08:00:00 UTC, at ")
+    assert ahead.plot().get_title().endswith("yaw 0°")
 
 
 def test_a_single_narrow_beam_is_no_huge_picture() -> None:

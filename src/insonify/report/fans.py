@@ -61,7 +61,7 @@ AS_IT_IS = Scale()
 INTENSITY = Scale(power=0.6)
 """Of the paper's images, in which sand of reflectance 1 would be all but black."""
 _NARROW_RAD = 0.1
-"""Half of a fan's azimuth below which its bearings would be written over each other."""
+"""Half of a fan's azimuth below which three bearings would be written over each other."""
 _SHADOW = (0.30, 0.20, 0.45)
 
 
@@ -318,8 +318,8 @@ def fan_grid(
             x + right * 0.03, y, f"{range_m:g} m", fontsize=7, color=ink, va="center", zorder=3
         )
     bearings = np.arange(-3, 5) * math.pi / 4 if whole else np.linspace(-half, half, 5)
-    if half < _NARROW_RAD:
-        bearings = bearings[2:3]
+    if half < 2 * _NARROW_RAD:
+        bearings = bearings[::2] if half > _NARROW_RAD else bearings[2:3]
     for bearing in bearings:
         x, y = -far * math.sin(bearing), far * math.cos(bearing)
         axes.plot([0, x], [0, y], **line)  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from functools import singledispatch
 from html import escape
 from typing import Any
@@ -30,6 +31,8 @@ _SIDES = {"above": (0, 1, 2, 1), "south": (0, 2, 1, -1), "east": (1, 2, 0, 1)}
 _NAMES = ("x (east), m", "y (north), m", "z (up), m")
 _MOST_CELLS = 2000
 """Cells along an edge of a map's picture; of a larger map several voxels share one."""
+_EPOCH_S, _LAST_S = 1e8, 1e11
+"""Times between these are of a clock that counts from 1970."""
 _MOST_SETTINGS = 4
 """Of a campaign, that are drawn unasked."""
 
@@ -88,7 +91,7 @@ def _ping_onto(record: Ping, axes: Axes, *, power: float = 0.6) -> None:
     scale = Scale(power=power)
     ink = PALE if np.mean(to_rgb(figure.get_facecolor())) < 0.5 else INK
     scale.bar(figure, fan_onto(axes, record, scale, ink), axes, ink)
-    axes.set_title(f"{record.time_s:g} s", fontsize=9, color=ink)
+    axes.set_title(_when(record.time_s), fontsize=9, color=ink)
 
 
 @_onto.register
@@ -96,8 +99,8 @@ def _posed_onto(record: PosedPing, axes: Axes, *, power: float = 0.6) -> None:
     _ping_onto(record.ping, axes, power=power)
     if record.pose is not None:
         x, y, z = record.pose.position_m
-        heading = math.degrees(record.pose.yaw_rad)
-        axes.set_title(f"{axes.get_title()}, at ({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {heading:.0f}°")
+        heading = round(math.degrees(record.pose.yaw_rad))
+        axes.title.set_text(f"{axes.get_title()}, at ({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {heading}°")
 
 
 @_onto.register
@@ -237,6 +240,13 @@ def _campaign_told(record: Campaign) -> tuple[str, Facts, Sequence[Facts], list[
 
 
 _SCORES = ("precision", "recall", "f1")
+
+
+def _when(time_s: float) -> str:
+    """A time as people say it; of a clock that counts from 1970, its day and hour."""
+    if not _EPOCH_S < time_s < _LAST_S:
+        return f"{time_s:.3f}".rstrip("0").rstrip(".") + " s"
+    return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _headline(account: Account) -> str:
