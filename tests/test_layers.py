@@ -15,8 +15,9 @@ SOURCE = Path(insonify.__file__).parent
 LAYERS = [
     "errors",
     "limits",
-    "types",
     "extras",
+    "display",
+    "types",
     "names",
     "pictures",
     "seeds",

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from insonify import display
 
 __version__ = "0.1.0"
 
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
     from insonify.planning.decision import Planner as Planner
     from insonify.results.campaign import load_campaign as load_campaign
     from insonify.results.files import load_result as load_result
-    from insonify.results.scan import load_scan as load_scan
+    from insonify.results.scan import load_run as load_run
     from insonify.results.scan import save_scan as save_scan
     from insonify.scene import Scene as Scene
     from insonify.scene.worlds import load_scene as load_scene
@@ -53,7 +56,7 @@ _HOMES = {
     "load_ping": "insonify.io.pings",
     "load_pings": "insonify.io.recordings",
     "load_result": "insonify.results.files",
-    "load_scan": "insonify.results.scan",
+    "load_run": "insonify.results.scan",
     "load_scene": "insonify.scene.worlds",
     "map_recordings": "insonify.mission.remap",
     "open_recording": "insonify.io.recordings",
@@ -62,11 +65,21 @@ _HOMES = {
     "scenario_config": "insonify.mission.setup",
 }
 
+_FORMER = {"load_scan": "load_run"}
+"""Names that go with the next minor version, and what they are called now."""
+
 __all__ = sorted([*_HOMES, "__version__"])
+
+display.drawn_by(lambda: import_module("insonify.report.showing"))
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for, so that the command line starts fast."""
+    if name in _FORMER:
+        warnings.warn(
+            f"insonify.{name} is called {_FORMER[name]} now", DeprecationWarning, stacklevel=2
+        )
+        name = _FORMER[name]
     if name not in _HOMES:
         raise AttributeError(f"module 'insonify' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -18,6 +18,7 @@ class Stream(IntEnum):
     PLACE = 6
     FIELD = 7
     POSES = 8
+    DATASET_SPLIT = 9
 
 
 def generator(seed: int, stream: Stream, *number: int) -> np.random.Generator:

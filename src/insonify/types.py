@@ -9,13 +9,19 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from insonify.display import Pictured
 from insonify.errors import GeometryError
+from insonify.extras import optional
 from insonify.limits import FARTHEST_POSE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import DataArray
 
 Array = npt.NDArray[Any]
 Float32 = npt.NDArray[np.float32]
@@ -25,6 +31,10 @@ UInt32 = npt.NDArray[np.uint32]
 UInt64 = npt.NDArray[np.uint64]
 Int64 = npt.NDArray[np.int64]
 Bool = npt.NDArray[np.bool_]
+
+
+POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
+"""What `Pose.numbers` are, as tables and stores name them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +161,7 @@ class FanGeometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ping:
+class Ping(Pictured):
     """One sonar image: ``(bins, beams) float32`` in [0, 1], and what its pixels mean.
 
     A pixel that is not a number is one of which nothing is known.
@@ -165,9 +175,57 @@ class Ping:
     time_s: float = 0.0
     head_rad: float = 0.0
 
+    def plot(self, axes: Axes | None = None, *, power: float = 0.6) -> Axes:
+        """Draw the image in fan view: ahead is up, port is left.
+
+        Args:
+            axes: Where; by default those of a new figure, which notebooks show.
+            power: Values are shown to this power; below 1 brighter than they are.
+
+        Returns:
+            The axes, in metres.
+
+        Raises:
+            MissingExtraError: matplotlib is not installed.
+        """
+        return self._plotted(axes, power=power)
+
+    def to_xarray(self) -> DataArray:
+        """The image over ``bin`` and ``beam``, with ``bin_range_m`` and ``azimuth_rad`` (to port).
+
+        The rest of the geometry, ``time_s`` and ``head_rad`` are attributes.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        xarray = optional("xarray", "datasets", "to_xarray")
+        fan, mount = self.geometry, self.geometry.mount
+        about = {
+            "long_name": "echo intensity",
+            "units": "1",
+            "azimuth_fov_rad": fan.azimuth_fov_rad,
+            "elevation_fov_rad": fan.elevation_fov_rad,
+            "range_min_m": fan.range_min_m,
+            "range_max_m": fan.range_max_m,
+            "mount_x_y_z_roll_pitch_yaw": list(mount.numbers),
+            "time_s": self.time_s,
+            "head_rad": self.head_rad,
+        }
+        ranges = ("bin", fan.bin_ranges_m, {"long_name": "centre range of the bin", "units": "m"})
+        azimuths = (
+            "beam",
+            fan.beam_azimuths_rad,
+            {"long_name": "centre azimuth of the beam, to port", "units": "rad"},
+        )
+        places = {"bin_range_m": ranges, "azimuth_rad": azimuths}
+        image: DataArray = xarray.DataArray(
+            self.image, places, ("bin", "beam"), name="image", attrs=about
+        )
+        return image
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PosedPing:
+class PosedPing(Pictured):
     """A ping and where it was taken: simulated, recorded or remembered.
 
     Attributes:
@@ -179,6 +237,21 @@ class PosedPing:
     ping: Ping
     pose: Pose | None = None
     true_pose: Pose | None = None
+
+    def plot(self, axes: Axes | None = None, *, power: float = 0.6) -> Axes:
+        """Draw the image, as `Ping.plot` does."""
+        return self._plotted(axes, power=power)
+
+    def to_xarray(self) -> DataArray:
+        """As `Ping.to_xarray`, with the pose, if it is known, as ``x_m`` ... ``yaw_rad``.
+
+        Raises:
+            MissingExtraError: xarray is not installed.
+        """
+        image = self.ping.to_xarray()
+        if self.pose is None:
+            return image
+        return image.assign_coords(dict(zip(POSE, self.pose.numbers, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib import colormaps
 
 from insonify.errors import MapFileError, OutputError
 from insonify.io.folders import result_folder, unused_folder
@@ -61,7 +62,13 @@ def test_point_cloud_reads_in_another_library(tmp_path: Path) -> None:
     raw = cloud.metadata["_ply_raw"]["vertex"]["data"]
     kept = (voxels.seen > 0) & ((voxels.log_odds > 0) | (np.abs(voxels.log_odds) < 0.23))
     assert abs(len(raw) - kept.sum()) < 0.01 * kept.sum()
-    assert set(raw.dtype.names) == {"x", "y", "z", "probability", "entropy", "surface"}
+    names = ("x", "y", "z", "probability", "entropy", "surface", "red", "green", "blue")
+    assert raw.dtype.names == names
+    shade = colormaps["viridis"](np.clip(2.0 * raw["probability"] - 1.0, 0.0, 1.0), bytes=True)
+    assert isinstance(cloud, trimesh.PointCloud)
+    colours = np.asarray(cloud.colors).astype(int)
+    assert np.abs(colours - shade).max() <= 6
+    assert len(np.unique(colours, axis=0)) > 100
     p = raw["probability"].astype(float)
     expected = -(p * np.log2(p) + (1 - p) * np.log2(1 - p))
     np.testing.assert_allclose(raw["entropy"], expected, atol=1e-5)

@@ -66,7 +66,8 @@ def _contents(folder: Path) -> dict[str, bytes]:
 def test_the_folder(folder: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names == {
-        "annotations.json", "config.toml", "dataset.zarr", "images", "masks", "result.json"
+        "README.md", "annotations.json", "config.toml", "dataset.zarr", "images", "masks",
+        "result.json", "statistics.png",
     }  # fmt: skip
     assert len(list((folder / "images").iterdir())) == COUNT
 

@@ -21,7 +21,7 @@ from insonify.mission.setup import scenario_config
 from insonify.report.html import write_report
 from insonify.results.files import load_result
 from insonify.results.map import load_mapper
-from insonify.results.scan import is_scan, load_scan, run_scan, save_scan
+from insonify.results.scan import is_scan, load_run, run_scan, save_scan
 from insonify.types import StopReason
 
 pytestmark = pytest.mark.slow
@@ -78,7 +78,7 @@ def test_a_run_is_read_back_without_running_it(
     monkeypatch.setattr(insonify.mission.run, "execute", never)
     monkeypatch.setattr(insonify.mission.run, "World", never)
     run, folder = scanned
-    there, back = run.account(), load_scan(folder, with_keyframes=True)
+    there, back = run.account(), load_run(folder, with_keyframes=True)
     assert back.paths == there.paths
     assert back.region == there.region and back.result == there.result
     np.testing.assert_array_equal(back.truth.solid, there.truth.solid)
@@ -114,7 +114,7 @@ def test_the_report_of_the_files_is_that_of_the_run(
     scanned: tuple[Run, Path], flown: tuple[Run, Path], tmp_path: Path
 ) -> None:
     for run, folder in (scanned, flown):
-        write_report(load_scan(folder, with_keyframes=True), tmp_path / "again.html")
+        write_report(load_run(folder, with_keyframes=True), tmp_path / "again.html")
         again = (tmp_path / "again.html").read_text(encoding="utf-8")
         first = (folder / "report.html").read_text(encoding="utf-8")
         if run.flight is None:
@@ -125,7 +125,7 @@ def test_the_report_of_the_files_is_that_of_the_run(
 
 def test_a_track_comes_back_to_nine_digits(flown: tuple[Run, Path]) -> None:
     assert flown[0].flight is not None
-    there, back = flown[0].flight.track.moments, load_scan(flown[1]).moments
+    there, back = flown[0].flight.track.moments, load_run(flown[1]).moments
     assert len(back) == len(there) > 10
     for mine, other in zip(back, there, strict=True):
         assert mine.true.position_m == pytest.approx(other.true.position_m, rel=1e-7)
@@ -191,14 +191,14 @@ def test_parts_of_an_earlier_result_go_with_it(
     assert {path.name for path in folder.iterdir()} == {
         "notes.txt", *(path.name for path in scanned[1].iterdir())
     }  # fmt: skip
-    assert load_scan(folder).moments == ()
+    assert load_run(folder).moments == ()
     assert load_mapper(folder).name == "bayes"
 
 
 def test_a_run_without_a_recording_is_read_back(scanned: tuple[Run, Path], tmp_path: Path) -> None:
     save_scan(scanned[0], tmp_path)
     assert is_scan(tmp_path)
-    back = load_scan(tmp_path, with_keyframes=True)
+    back = load_run(tmp_path, with_keyframes=True)
     assert back.keyframes == () and len(back.decisions) == len(scanned[0].decisions)
 
 
@@ -211,7 +211,7 @@ def test_pictures_of_a_scan_that_was_cut_short_are_the_same(tmp_path: Path) -> N
         watch=lambda run, step: runs.append(run),
         should_stop=lambda: next(asked) >= 13,
     )
-    back = load_scan(tmp_path / "run", with_keyframes=True).keyframes
+    back = load_run(tmp_path / "run", with_keyframes=True).keyframes
     assert [(scan, posed.pose) for scan, posed in back] == [
         (scan, posed.pose) for scan, posed in runs[-1].keyframes
     ]
@@ -232,7 +232,7 @@ def test_a_map_of_another_mapper_than_its_config_names_is_refused(
 def test_a_scan_that_a_mappers_fault_keeps_from_being_saved_is_not_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def faulty(run: Run, folder: Path) -> ScanResult:
+    def faulty(run: Run, folder: Path, phase: object) -> ScanResult:
         raise ZeroDivisionError
 
     with monkeypatch.context() as patched, pytest.raises(ZeroDivisionError):
@@ -251,7 +251,7 @@ def test_a_run_that_lacks_its_decisions_is_refused(
     shutil.copytree(scanned[1], folder)
     (folder / "decisions.npz").unlink()
     with pytest.raises(ResultError, match="older version"):
-        load_scan(folder)
+        load_run(folder)
 
 
 def test_damaged_decisions_and_truth_are_named(scanned: tuple[Run, Path], tmp_path: Path) -> None:
@@ -267,7 +267,7 @@ def test_damaged_decisions_and_truth_are_named(scanned: tuple[Run, Path], tmp_pa
                     broken[at] = rng.integers(256)
             (folder / name).write_bytes(broken)
             try:
-                load_scan(folder)
+                load_run(folder)
             except InsonifyError as err:
                 assert str(folder / name) in str(err)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,16 +31,28 @@ from insonify.cli.root import (
     world_table,
 )
 from insonify.cli.simulation import McapOption
+from insonify.errors import ConfigError
 from insonify.names import file_name
 
 if TYPE_CHECKING:
     from insonify.mission.result import DatasetResult
 
 
+class Format(StrEnum):
+    """What a dataset is written as, beside Zarr and COCO."""
+
+    YOLO = "yolo"
+    WEBDATASET = "webdataset"
+
+
 @app.command()
 def dataset(
-    world: Annotated[
-        str | None, typer.Argument(help="A world as `simulate` takes it: file, scenario, name.")
+    worlds: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="WORLD...",
+            help="Worlds as `simulate` takes them: files, scenarios, names; field@7 has seed 7.",
+        ),
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="How many views.")] = None,
     sonar: Annotated[str | None, typer.Option(help="A device; see: sonars")] = None,
@@ -47,6 +60,21 @@ def dataset(
     model: ModelOption = None,
     renderer: RendererOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the poses and the noise.")] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TRAIN/VAL/TEST", help="Shares of the worlds; no world is in two parts."
+        ),
+    ] = None,
+    formats: Annotated[
+        list[Format] | None,
+        typer.Option(
+            "--format", metavar="yolo|webdataset", help="Beside Zarr and COCO; may be repeated."
+        ),
+    ] = None,
+    license: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="For its card, as cc-by-4.0.")
+    ] = None,
     mcap: McapOption = False,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; by default one for each core.")
@@ -59,7 +87,7 @@ def dataset(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a dataset: many views of a world with the truth of each pixel, Zarr and COCO."""
+    """Make a dataset: many views of a world with the truth of each pixel."""
     begin("starting")
     from insonify.imaging.dataset import dataset_config
     from insonify.io.folders import unused_folder
@@ -67,10 +95,14 @@ def dataset(
     from insonify.results.dataset import make_dataset
 
     chosen = choices(
-        sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count
-    ) | world_table(search, materials)
-    full = dataset_config(*world_and_layers(world, config, with_range(settings, range_m), chosen))
-    folder = out or unused_folder(Path("insonify-runs") / file_name(f"{full.world_name}-dataset"))
+        sonar=absolute(sonar), model=model, renderer=renderer, seed=seed, count=count,
+        license=absolute(license), split=None if split is None else _shares(split),
+        formats=None if formats is None else [one.value for one in dict.fromkeys(formats)],
+        more_worlds=[absolute(one) for one in worlds[1:]] if worlds else None,
+    ) | world_table(search, materials)  # fmt: skip
+    first = worlds[0] if worlds else None
+    full = dataset_config(*world_and_layers(first, config, with_range(settings, range_m), chosen))
+    folder = out or unused_folder(Path("insonify-runs") / file_name(f"{full.names[0]}-dataset"))
     with (
         interruptible("stopping after the views that are being made") as interrupted,
         progress("views", full.count) as bar,
@@ -89,6 +121,20 @@ def dataset(
     _tell(result, target, as_json)
 
 
+def _shares(text: str) -> list[float]:
+    """The shares of --split.
+
+    Raises:
+        ConfigError: They are no numbers.
+    """
+    try:
+        return [float(word) for word in text.split("/")]
+    except ValueError as err:
+        raise ConfigError(
+            f"--split takes shares for train, val and test, as 80/10/10, not {text!r}"
+        ) from err
+
+
 def _tell(result: DatasetResult, target: Path, as_json: bool) -> None:
     if as_json:
         say_json(result.to_json())
@@ -104,3 +150,9 @@ def _print_result(result: DatasetResult) -> None:
     ]
     say(f"{result.world}: {result.views} views with {result.sonar}")
     say_listing(["category", "views", "pixels"], rows)
+    if len(result.parts) > 1:
+        parts = [
+            [part, f"{told['views']:,}", ", ".join(told["worlds"])]
+            for part, told in result.parts.items()
+        ]
+        say_listing(["part", "views", "worlds"], parts)

@@ -1,26 +1,33 @@
-"""Maps for other programs."""
+"""Maps and runs for other programs."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from insonify.cli.printing import say, say_json
-from insonify.cli.progress import begin
+from insonify.cli.progress import begin, progress
 from insonify.cli.root import JsonOption, app, datum_from_text
+from insonify.errors import OutputError
+
+if TYPE_CHECKING:
+    from insonify.mapping.voxels import VoxelMap
+
+RERUN = ".rrd"
 
 
 @app.command()
 def export(
     source: Annotated[
-        Path, typer.Argument(metavar="MAP", help="Result folder, or .npz, .zarr, .ot, .bt.")
+        Path, typer.Argument(metavar="RUN", help="Result folder, or .npz, .zarr, .ot, .bt.")
     ],
     target: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help="Ends in .npz, .zarr, .ot, .bt, .ply, .glb, .stl, .tif, .xyz, .vdb."
+            metavar="OUT",
+            help="Ends in .npz, .zarr, .ot, .bt, .ply, .glb, .stl, .tif, .xyz, .vdb, or .rrd.",
         ),
     ],
     datum: Annotated[
@@ -38,16 +45,21 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="Replace OUT.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a map in the format of another program; OUT's suffix names it."""
+    """Write a map, or for .rrd a run with its pings, for another program; OUT's suffix names it."""
     begin("starting")
     from insonify.io.folders import result_file
     from insonify.io.maps import load_map, save_map
     from insonify.mapping.voxels import OBSERVED
 
     place = datum_from_text(datum) if datum is not None else None
-    voxels = load_map(source)
-    with result_file(target, force=force) as scratch:
-        save_map(voxels, scratch, datum=place, epsg=epsg)
+    if target.suffix == RERUN:
+        if place is not None or epsg is not None:
+            raise OutputError(f"{target.name}: only a GeoTIFF (.tif) takes a datum or EPSG code")
+        voxels = _to_rerun(source, target, force)
+    else:
+        voxels = load_map(source)
+        with result_file(target, force=force) as scratch:
+            save_map(voxels, scratch, datum=place, epsg=epsg)
     files = [path for path in (target, *target.rglob("*")) if path.is_file()]
     row = {
         "file": str(target),
@@ -62,4 +74,16 @@ def export(
         say(
             f"{target}: {row['bytes']:,} bytes, from {row['observed_voxels']:,} observed voxels of "
             f"{voxels.voxel_m:g} m, {row['occupied_voxels']:,} of them occupied"
+        )
+
+
+def _to_rerun(source: Path, target: Path, force: bool) -> VoxelMap:
+    from insonify.io.folders import result_file
+    from insonify.results.rerun import save_rerun
+
+    with result_file(target, force=force) as scratch, progress("opening") as bar:
+        return save_rerun(
+            source,
+            scratch,
+            lambda done, count: bar.show(done, count, "mapping again", f"{done} of {count}"),
         )

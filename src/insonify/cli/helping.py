@@ -8,14 +8,14 @@ from typer.core import TyperGroup
 
 PANELS = {
     "What": "planner planners object_ seed seeds count pose path orbit "
-    "waypoints from_ search materials settings config sql recording datum epsg",
+    "waypoints from_ search materials settings config sql recording datum epsg split license",
     "Sonar": "sonar sonars range_m model renderer truth camera",
     "Mapping": "mapper voxel threshold region",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic",
     "Vehicle": "clearance speed vehicle current navigation real_time",
     "Output": "out force as_json live mcap picture every quiet port host workers scheduler prune "
-    "yes",
+    "yes formats",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
 
@@ -79,7 +79,7 @@ EXAMPLES = {
     "dataset": (
         "insonify dataset structures --count 100",
         "insonify dataset my.world --sonar oculus-m750d-1200khz --model physical --count 1000",
-        "insonify dataset structures --count 8 --range 15 --out views",
+        "insonify dataset field@0 field@1 field@2 field@3 --split 50/25/25 --format yolo",
     ),
     "map": (
         "insonify map dive.mcap --voxel 0.1 --out map",
@@ -93,7 +93,11 @@ EXAMPLES = {
         'insonify plan insonify-runs/mine --from "8 0 -14 180" --picture next.png',
     ),
     "runs": ("insonify runs", "insonify runs --prune"),
-    "export": ("insonify export run map.bt", "insonify export run surface.ply"),
+    "export": (
+        "insonify export run map.bt",
+        "insonify export run points.ply",
+        "insonify export run dive.rrd",
+    ),
 }
 
 

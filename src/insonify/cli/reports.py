@@ -38,9 +38,9 @@ def report(
 
 def _scan_writer(run: Path) -> Callable[[Path], None]:
     from insonify.report.html import write_report
-    from insonify.results.scan import load_scan
+    from insonify.results.scan import load_run
 
-    return partial(write_report, load_scan(run, with_keyframes=True))
+    return partial(write_report, load_run(run, with_keyframes=True))
 
 
 def _campaign_writer(run: Path) -> Callable[[Path], None]:

@@ -70,11 +70,11 @@ def fly(
         typer.Option(metavar="NAME|FILE", help="flatfish, or a TOML file with [\\[sonars]]."),
     ] = None,
     range_m: RangeOption = None,
-    mcap: McapOption = False,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
-    real_time: RealTimeOption = False,
     search: SearchOption = None,
     materials: MaterialsOption = None,
+    real_time: RealTimeOption = False,
+    mcap: McapOption = False,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -82,9 +82,9 @@ def fly(
     as_json: JsonOption = False,
 ) -> None:
     """Fly a vehicle with several sonars over a world; each pings on its own clock."""
-    begin("starting")
     from insonify.imaging.tour import tour_config
 
+    begin("starting")
     chosen = choices(
         world=absolute(world),
         seed=seed,

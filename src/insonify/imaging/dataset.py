@@ -11,10 +11,13 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from insonify.config.layers import named_tables
 from insonify.config.settings import Settings, Table, validated
 from insonify.errors import ConfigError
 from insonify.frames import (
@@ -30,6 +33,8 @@ from insonify.seeds import Stream, generator
 from insonify.sonar.devices import Kind
 from insonify.types import FanGeometry, Float64, Pose, PosedPing, ScanPath
 
+PARTS = ("train", "val", "test")
+Format = Literal["yolo", "webdataset"]
 _MOST_DRAWS = 2000
 _SEEN_WITHIN = 0.02
 """An aim counts as seen if the ray to it ends within this share of its distance."""
@@ -60,10 +65,104 @@ class PoseSettings(Settings):
 
 
 class Dataset(WorldImaging):
-    """All that is needed to make the same dataset again."""
+    """All that is needed to make the same dataset again.
 
+    View k is of world k modulo the number of worlds.  A world is in one part alone: what a network
+    is tested on, it has not been trained on from another side.
+    """
+
+    more_worlds: tuple[str, ...] = Field((), description="worlds beside it; views of each in turn")
     count: int = Field(100, ge=1, le=1_000_000, description="how many views")
+    split: tuple[float, ...] = Field(
+        (), description="shares of worlds for train, val and test; empty: val and test name theirs"
+    )
+    val: tuple[str, ...] = Field((), description="worlds for validation")
+    test: tuple[str, ...] = Field((), description="worlds for testing")
+    formats: tuple[Format, ...] = Field((), description="beside Zarr and COCO: yolo, webdataset")
+    license: str = Field("", description="cc-by-4.0 or another name, or a text file")
     poses: PoseSettings = PoseSettings()
+
+    @property
+    def worlds(self) -> tuple[str, ...]:
+        """All worlds."""
+        return (self.world, *self.more_worlds)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What to call them: the stems of files, told apart by a number where they are the same."""
+        stems = [Path(world).stem for world in self.worlds]
+        return tuple(
+            f"{stem}-{stems[:k].count(stem) + 1}" if stem in stems[:k] else stem
+            for k, stem in enumerate(stems)
+        )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The part that each world is in, a name of `PARTS`."""
+        if not self.split:
+            told = dict.fromkeys(self.val, "val") | dict.fromkeys(self.test, "test")
+            return tuple(told.get(world, "train") for world in self.worlds)
+        counts = _worlds_a_part(self.split, len(self.worlds))
+        assert counts is not None
+        drawn = np.repeat(np.arange(len(PARTS)), counts)
+        generator(self.seed, Stream.DATASET_SPLIT).shuffle(drawn)
+        return tuple(PARTS[k] for k in drawn)
+
+    def of_world(self, number: int, labels: Iterable[str]) -> Dataset:
+        """The same of one of the worlds, whose bodies have these labels."""
+        if not self.more_worlds:
+            return self
+        aims = tuple(label for label in self.poses.look_at if label in labels)
+        poses = self.poses.model_copy(update={"look_at": aims or self.poses.look_at})
+        alone: dict[str, object] = {"more_worlds": (), "split": (), "val": (), "test": ()}
+        return self.model_copy(update=alone | {"world": self.worlds[number], "poses": poses})
+
+
+def _worlds_a_part(shares: tuple[float, ...], worlds: int) -> list[int] | None:
+    """How many of some worlds each of `PARTS` gets by its share; None if they are too few."""
+    counts = [max(1, round(worlds * share / sum(shares))) if share else 0 for share in shares]
+    counts[0] = worlds - sum(counts[1:])
+    return counts if counts[0] > 0 else None
+
+
+def _check_parts(config: Dataset) -> None:
+    """Refuse parts that cannot be.
+
+    Raises:
+        ConfigError: A world is named twice, is not there or in two parts, or is wanted for two.
+    """
+    worlds, split = config.worlds, config.split
+    for world in worlds:
+        if worlds.count(world) > 1:
+            raise ConfigError(f"{world}: is named twice; name each world once")
+    if split:
+        told = "/".join(f"{share:g}" for share in split)
+        if (
+            len(split) != len(PARTS)
+            or min(split) < 0
+            or not split[0]
+            or not all(map(math.isfinite, split))
+        ):
+            raise ConfigError(
+                f"split: three shares for train, val and test, as 80/10/10, not {told}"
+            )
+        if config.val or config.test:
+            raise ConfigError("split: draws the worlds for val and test, so name none yourself")
+        if _worlds_a_part(split, len(worlds)) is None:
+            raise ConfigError(
+                f"split: {told} of {len(worlds)} "
+                f"{'world' if len(worlds) == 1 else 'worlds'} leaves none to train on, as no world "
+                f"is in two parts; name more worlds, as in: field@0 field@1 field@2"
+            )
+    for part, named in (("val", config.val), ("test", config.test)):
+        for world in named:
+            if world not in worlds:
+                raise ConfigError(f"{part}: {world!r} is none of the worlds, {', '.join(worlds)}")
+    both = set(config.val) & set(config.test)
+    if both:
+        raise ConfigError(f"val and test: {', '.join(sorted(both))} is in both; a world is in one")
+    if not set(worlds) - set(config.val) - set(config.test):
+        raise ConfigError("val and test: leave no world to train on; name more worlds")
 
 
 def dataset_config(world: str, layers: Iterable[Table]) -> Dataset:
@@ -75,7 +174,12 @@ def dataset_config(world: str, layers: Iterable[Table]) -> Dataset:
     table = world_table(world, layers)
     for key in ("route", "timed", "camera"):  # a named simulation's own
         table.pop(key, None)
+    simulations = named_tables("simulations")
+    for key in ("more_worlds", "val", "test"):
+        if isinstance(table.get(key), list | tuple):
+            table[key] = [simulations.get(str(one), {}).get("world", one) for one in table[key]]
     config = validated(Dataset, table)
+    _check_parts(config)
     if config.sonar.kind not in (Kind.FORWARD_LOOKING, Kind.PROFILING):
         raise ConfigError(
             f"a dataset needs a forward-looking sonar, and {config.sonar.name!r} is a "

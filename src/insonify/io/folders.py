@@ -36,6 +36,23 @@ PARTS = (
 )
 """Files that are read back, or looked at, as parts of the result they lie with."""
 
+DATASET = "dataset.zarr"
+DATASET_PARTS = (
+    "LICENSE",
+    "annotations-test.json",
+    "annotations-train.json",
+    "annotations-val.json",
+    "data.yaml",
+    "labels",
+    "pings.mcap",
+    "shards",
+    "statistics.png",
+    "test.txt",
+    "train.txt",
+    "val.txt",
+)
+"""Of a dataset that replaces another: names so common that elsewhere they are the user's."""
+
 _HERE, _EXCHANGE = -100, 2
 """AT_FDCWD of fcntl.h and RENAME_EXCHANGE of Linux's fs.h."""
 _CANNOT_EXCHANGE = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EXDEV)
@@ -245,6 +262,8 @@ def _replace(own: Scratch, real: Path) -> None:
         if (real / name).is_dir() and not (own.new / name).is_dir():
             raise OSError(errno.EISDIR, f"{name} is a folder there")
     gone = names | set(PARTS) if RESULT in names else names
+    if DATASET in names and (real / DATASET).is_dir():
+        gone |= set(DATASET_PARTS)
     _carry(real, own.new, gone)
     own.new.chmod(stat.S_IMODE(real.stat().st_mode))
     own.job = ""  # after this, what lies there may be the earlier result

@@ -9,9 +9,14 @@ voxel's indices are ``floor(position / voxel_m)`` in the world frame; a block is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from insonify import memory
+from insonify.display import Told
+from insonify.errors import MemoryLimitError
+from insonify.extras import optional
 from insonify.mapping.store import (
     BLOCK,
     BYTES_PER_VOXEL,
@@ -21,6 +26,10 @@ from insonify.mapping.store import (
     cell_of,
 )
 from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from xarray import Dataset
 
 __all__ = [
     "BLOCK",
@@ -41,6 +50,8 @@ FARTHEST_BLOCK = 1_000_000
 IN_VIEW = 1
 OBSERVED = 2
 SURFACE = 4
+_DENSE_BYTES = 17
+"""Of a voxel in `VoxelMap.to_xarray`, while it is made."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +97,7 @@ class VoxelWindow:
         return (index.astype(np.float64) + 0.5) * self.voxel_m
 
 
-class VoxelMap:
+class VoxelMap(Told):
     """Blocks of voxels, allocated when first touched.
 
     Attributes:
@@ -204,6 +215,65 @@ class VoxelMap:
             self._copy_blocks(low, high, log_odds, seen)
         first = (int(low[0]), int(low[1]), int(low[2]))
         return VoxelWindow(first, self.voxel_m, log_odds, seen, self.marked)
+
+    def plot(self, axes: Axes | None = None, *, side: str = "above") -> Axes:
+        """Draw the occupied voxels that are seen from a side, coloured by how near they are to it.
+
+        Args:
+            axes: Where; by default those of a new figure, which notebooks show.
+            side: ``above``, ``south`` or ``east``.
+
+        Returns:
+            The axes, in metres of the world.
+
+        Raises:
+            GeometryError: There is no such side.
+            MissingExtraError: matplotlib is not installed.
+        """
+        return self._plotted(axes, side=side)
+
+    def to_xarray(self, box: Box | None = None) -> Dataset:
+        """A dense copy over ``x``, ``y`` and ``z``, the voxels' centres in the world, metres.
+
+        Variables: ``probability`` and ``log_odds``, float32; ``in_view``, ``observed`` and
+        ``surface``, bool.
+
+        Args:
+            box: Of which voxels, in the map's own frame; by default `around_occupied`.
+
+        Raises:
+            MemoryLimitError: It would not fit into free memory.
+            MissingExtraError: xarray is not installed.
+        """
+        xarray = optional("xarray", "datasets", "to_xarray")
+        box = self.around_occupied() if box is None else box
+        needed = _DENSE_BYTES * float(np.prod(np.divide(box.size_m, self.voxel_m)))
+        if not memory.fits(needed):
+            raise MemoryLimitError(
+                f"a dense copy of {' x '.join(f'{size:.3g}' for size in box.size_m)} m in voxels "
+                f"of {self.voxel_m:g} m would need {memory.shortage(needed)}; give a smaller box"
+            )
+        window = self.window(box)
+        layers = {
+            "probability": (window.probability, "occupancy probability"),
+            "log_odds": (window.log_odds, "occupancy as log-odds"),
+            "in_view": ((window.seen & IN_VIEW) > 0, "has been inside a fan"),
+            "observed": ((window.seen & OBSERVED) > 0, "echo or silence spoke about it"),
+            "surface": (window.surface, "an object's surface passes through it"),
+        }
+        axes = {
+            name: (name, (np.arange(size) + first + 0.5) * self.voxel_m + origin, {"units": "m"})
+            for name, size, first, origin in zip(
+                "xyz", window.log_odds.shape, window.first, self.origin_m, strict=True
+            )
+        }
+        found: Dataset = xarray.Dataset(
+            {name: (tuple("xyz"), values, {"long_name": told})
+             for name, (values, told) in layers.items()},
+            axes,
+            {"voxel_m": self.voxel_m, "origin_m": list(self.origin_m)},
+        )  # fmt: skip
+        return found
 
     def _copy_blocks(
         self, low: np.ndarray, high: np.ndarray, log_odds: Float32, seen: np.ndarray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from insonify.display import Told
 from insonify.evaluation import GroundTruth, Solid
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.result import ScanResult
@@ -13,7 +14,7 @@ from insonify.vehicle.craft import Moment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Account:
+class Account(Told):
     """All there is to show of a scan.
 
     Attributes:

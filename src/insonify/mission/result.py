@@ -150,6 +150,9 @@ class DatasetResult(Result):
     seed: int
     views: int
     categories: dict[str, dict[str, int]]
+    parts: dict[str, Table] = Field(
+        {}, description="views and worlds of train, val and test; older files do not tell"
+    )
 
 
 class ComparisonResult(Result):

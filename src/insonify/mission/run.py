@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -12,7 +11,8 @@ import numpy as np
 
 from insonify import memory
 from insonify.config.toml import config_to_toml
-from insonify.errors import ConfigError, GeometryError, MemoryLimitError
+from insonify.display import Told
+from insonify.errors import GeometryError, MemoryLimitError
 from insonify.evaluation import GroundTruth, ghosts, ground_truth, score_map, solids_of
 from insonify.frames import world_from_sonar
 from insonify.mapping.factory import bytes_per_voxel
@@ -33,7 +33,7 @@ from insonify.mission.loop import (
     fly,
 )
 from insonify.mission.result import FlightResult, ScanResult, ScanRow
-from insonify.mission.setup import Config, World, naming
+from insonify.mission.setup import Config, World, copied, naming
 from insonify.planning.baselines import FixedPlan, path_over_centre
 from insonify.planning.decision import DecisionRecord, Planner
 from insonify.planning.entropy import entropy_map
@@ -86,7 +86,7 @@ class Flight:
 
 
 @dataclass(slots=True, eq=False)
-class Run:
+class Run(Told):
     """A run while it lasts, and everything it leaves behind.
 
     Attributes:
@@ -229,7 +229,7 @@ def execute(
     truth = ground_truth(world.scene, world.stage.bodies, config.mapping.voxel_m)
     run = Run(config, world, mapper, planner.name, truth, seconds=clock.seconds, noise=noise)
     if isinstance(carrier, Voyage):
-        run.flight = Flight(carrier, _copy(mapper))
+        run.flight = Flight(carrier, copied(mapper))
     clock.lap("setup")
     _follow(run, timed(fly(carrier, mapper, planner), clock), watch, should_stop)
     return run
@@ -252,17 +252,6 @@ def _follow(
     if not run.history or run.history[-1].pings < run.pings:  # the last scan was cut short
         run.mapper.finish_scan()
         _note_scan(run)
-
-
-def _copy(mapper: Mapper) -> Mapper:
-    """A second mapper, as empty as the first, for the same pings at the true poses."""
-    try:
-        return copy.deepcopy(mapper)
-    except TypeError as err:
-        raise ConfigError(
-            f"mapper {mapper.name!r} cannot be copied ({err}), which a flown scan needs to say "
-            "what its pose error costs; give it a __deepcopy__"
-        ) from err
 
 
 def carrier_of(

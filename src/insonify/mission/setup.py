@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable
 from functools import cache
@@ -169,6 +170,21 @@ def naming(config: Config, planner: Planner | None, mapper: Mapper | None) -> Co
         check_object(mapper, repr(mapper), "mapper", MAPPER_PARTS)
         changes |= {"mapper": name_of(mapper, MAPPERS), "mapper_options": {}}
     return config.model_copy(update=changes)
+
+
+def copied(mapper: Mapper) -> Mapper:
+    """A second mapper, as empty as the first, for the same pings at the true poses.
+
+    Raises:
+        ConfigError: It cannot be copied.
+    """
+    try:
+        return copy.deepcopy(mapper)
+    except TypeError as err:
+        raise ConfigError(
+            f"mapper {mapper.name!r} cannot be copied ({err}), which a flown scan needs to say "
+            "what its pose error costs; give it a __deepcopy__"
+        ) from err
 
 
 class World:

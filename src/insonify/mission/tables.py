@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from insonify.config.settings import Table
+from insonify.display import Told
 from insonify.mission.campaign import FACTORS, factors
 from insonify.mission.result import ScanResult, flat
 from insonify.mission.setup import Config
 from insonify.mission.statistics import holm, interval, mean_height, paired_p
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 HEADLINE = "solid_exact_f1"
 """The score that is drawn and tested unless another is asked for."""
@@ -35,7 +39,7 @@ _OF_THE_VEHICLE = ("pose_error_", "true_poses_")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Campaign:
+class Campaign(Told):
     """The results of a campaign.
 
     Attributes:
@@ -52,6 +56,32 @@ class Campaign:
     curves: Any
     seconds: Any
     failed: tuple[Table, ...]
+
+    def plot(
+        self,
+        axes: Axes | None = None,
+        *,
+        score: str = HEADLINE,
+        along: str = "path_m",
+        **setting: str,
+    ) -> Axes:
+        """Draw a score against what was spent: means over the seeds with 95 % bands.
+
+        Args:
+            axes: Where; by default those of a new figure, which notebooks show.
+            score: A column of ``curves``.
+            along: ``path_m``, ``pings`` or a vehicle's ``time_s``.
+            setting: Which of several settings (``scenario``, ``sonar``, ``model``,
+                ``navigation``), as in ``scenario="wreck"``: curves of others do not compare.
+
+        Returns:
+            The axes.
+
+        Raises:
+            ResultError: There is no such score or setting, or more than one.
+            MissingExtraError: matplotlib is not installed.
+        """  # fmt: skip
+        return self._plotted(axes, score=score, along=along, setting=setting)
 
 
 def curve_rows(key: str, config: Config, result: ScanResult) -> list[Table]:

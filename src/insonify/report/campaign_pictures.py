@@ -30,13 +30,14 @@ def draw_curves(curves: Any, score: str) -> bytes:
     figure = Figure(figsize=(4.9 * len(spent), 3.9), layout="constrained")
     row = np.atleast_1d(figure.subplots(1, len(spent), sharey=True))
     for axes, along in zip(row, spent, strict=True):
-        _draw(axes, curves, score, along)
+        curves_onto(axes, curves, score, along)
     row[0].set_ylabel(score.replace("_", " "), fontsize=9)
     row[0].legend(fontsize=7, loc="lower right")
     return png(figure)
 
 
-def _draw(axes: Axes, curves: Any, score: str, along: str) -> None:
+def curves_onto(axes: Axes, curves: Any, score: str, along: str) -> None:
+    """Draw the curves of one setting into axes."""
     end = float(curves[along].max())
     at = np.linspace(0.0, end, _POINTS)
     for number, (names, group) in enumerate(curves.groupby(["mapper", "planner"], sort=False)):

@@ -14,6 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from PIL import Image
 
@@ -43,7 +44,7 @@ class Scale:
         """From values to colours."""
         return PowerNorm(self.power, 0.0, 1.0)
 
-    def bar(self, figure: Figure, shown: ScalarMappable, axes: Axes) -> None:
+    def bar(self, figure: Figure, shown: ScalarMappable, axes: Axes, ink: str = PALE) -> None:
         """Draw the colour bar beside axes."""
         bar = figure.colorbar(shown, ax=axes, shrink=0.7, pad=0.02)
         label = "echo intensity"
@@ -53,12 +54,14 @@ class Scale:
             told = values > 0.08
             bar.set_ticks(values[told].tolist(), labels=[f"{step:g}" for step in steps_db[told]])
             label = "level, dB under full scale"
-        _pale(bar, label)
+        _pale(bar, label, ink)
 
 
 AS_IT_IS = Scale()
 INTENSITY = Scale(power=0.6)
 """Of the paper's images, in which sand of reflectance 1 would be all but black."""
+_NARROW_RAD = 0.1
+"""Half of a fan's azimuth below which three bearings would be written over each other."""
 _SHADOW = (0.30, 0.20, 0.45)
 
 
@@ -75,13 +78,23 @@ def bearing_text(azimuth_rad: float) -> str:
     return f"{abs(degrees):g}°{side}"
 
 
-def fan_pixels(ping: Ping, width: int = 480) -> tuple[Array, tuple[float, float, float, float]]:
+def fan_pixels(
+    ping: Ping, width: int = 480, height: int | None = None
+) -> tuple[Array, tuple[float, float, float, float]]:
     """A sonar image in Cartesian view: starboard to the right, range upwards.
+
+    Args:
+        ping: The image.
+        width: Pixels across.
+        height: Pixels upwards at most; a fan of a narrow beam has fewer across then.
 
     Returns:
         (height, width) float32, not a number outside the fan, first row nearest, and the extent
         (left, right, near, far) in metres.
     """
+    if height is not None:
+        side, near = _fan_reach(ping.geometry)
+        width = min(width, max(2, int(height * 2 * side / (ping.geometry.range_max_m - near))))
     return _to_fan(ping.image, ping.geometry, width, np.nan)
 
 
@@ -103,6 +116,20 @@ def draw_fan(
     shown = axes.imshow(picture, origin="lower", extent=extent, cmap="copper", norm=scale.norm)
     scale.bar(figure, shown, axes)
     return png(figure)
+
+
+def fan_onto(axes: Axes, ping: Ping, scale: Scale, ink: str) -> AxesImage:
+    """Draw a ping in fan view into axes of one's own.
+
+    Args:
+        axes: Where.
+        ping: What is drawn.
+        scale: How values are coloured.
+        ink: Colour of the labels around it.
+    """
+    picture, extent = fan_pixels(ping, 800, 1600)
+    fan_grid(axes, ping.geometry, extent, ink)
+    return axes.imshow(picture, origin="lower", extent=extent, cmap="copper", norm=scale.norm)
 
 
 def draw_polar(ping: Ping, title: str, scale: Scale = INTENSITY) -> bytes:
@@ -203,12 +230,18 @@ def picture_png(picture: Picture) -> bytes:
     return stream.getvalue()
 
 
+def _fan_reach(geometry: FanGeometry) -> tuple[float, float]:
+    """How far a fan reaches to either side, and what of it lies lowest, 0 or astern; metres."""
+    half = geometry.azimuth_fov_rad / 2
+    side = geometry.range_max_m * (math.sin(half) if half < math.pi / 2 else 1.0)
+    return side, min(0.0, geometry.range_max_m * math.cos(half))
+
+
 def _to_fan(
     values: Float32, geometry: FanGeometry, width: int, outside: float, smooth: bool = False
 ) -> tuple[Float32, tuple[float, float, float, float]]:
     half = geometry.azimuth_fov_rad / 2
-    side = geometry.range_max_m * (math.sin(half) if half < math.pi / 2 else 1.0)
-    near = min(0.0, geometry.range_max_m * math.cos(half))
+    side, near = _fan_reach(geometry)
     scale = 2 * side / width
     height = max(2, round((geometry.range_max_m - near) / scale))
     right = (np.arange(width) + 0.5) * scale - side
@@ -235,11 +268,11 @@ def _to_fan(
     return picture, (-side, side, near, geometry.range_max_m)
 
 
-def _pale(bar: Colorbar, label: str) -> None:
-    """Label a colour bar, in the colours of `_dark`."""
-    bar.set_label(label, fontsize=8, color=PALE)
-    bar.ax.tick_params(labelsize=7, colors=PALE)
-    bar.outline.set_edgecolor(PALE)
+def _pale(bar: Colorbar, label: str, ink: str = PALE) -> None:
+    """Label a colour bar, by default in the colours of `_dark`."""
+    bar.set_label(label, fontsize=8, color=ink)
+    bar.ax.tick_params(labelsize=7, colors=ink)
+    bar.outline.set_edgecolor(ink)
 
 
 def _dark(width_in: float, height_in: float, title: str) -> tuple[Figure, Axes]:
@@ -259,25 +292,39 @@ def _fan_axes(
     geometry: FanGeometry, extent: tuple[float, float, float, float], title: str, width_in: float
 ) -> tuple[Figure, Axes]:
     """Range rings and bearings around a fan, which is drawn into the axes then."""
+    _, right, near, far = extent
+    height_in = 0.5 + width_in * 0.9 * (far - near) / (2.4 * right)
+    figure, axes = _dark(width_in, height_in, title)
+    fan_grid(axes, geometry, extent)
+    return figure, axes
+
+
+def fan_grid(
+    axes: Axes,
+    geometry: FanGeometry,
+    extent: tuple[float, float, float, float],
+    ink: str = PALE,
+) -> None:
+    """Range rings and bearings of a fan, without any other axes."""
     left, right, near, far = extent
     half = geometry.azimuth_fov_rad / 2
     whole = half > 0.99 * math.pi
-    height_in = 0.5 + width_in * 0.9 * (far - near) / (2.4 * right)
-    figure, axes = _dark(width_in, height_in, title)
     angles = np.linspace(-half, half, 181)
     line = {"color": "w", "lw": 0.4, "alpha": 0.5, "zorder": 2}
     for range_m in _ticks(far):
         axes.plot(range_m * np.sin(angles), range_m * np.cos(angles), **line)  # type: ignore[arg-type]
         x, y = (0.0, range_m) if whole else (range_m * math.sin(half), range_m * math.cos(half))
         axes.text(
-            x + right * 0.03, y, f"{range_m:g} m", fontsize=7, color=PALE, va="center", zorder=3
+            x + right * 0.03, y, f"{range_m:g} m", fontsize=7, color=ink, va="center", zorder=3
         )
     bearings = np.arange(-3, 5) * math.pi / 4 if whole else np.linspace(-half, half, 5)
+    if half < 2 * _NARROW_RAD:
+        bearings = bearings[::2] if half > _NARROW_RAD else bearings[2:3]
     for bearing in bearings:
         x, y = -far * math.sin(bearing), far * math.cos(bearing)
         axes.plot([0, x], [0, y], **line)  # type: ignore[arg-type]
         axes.text(
-            1.02 * x, 1.02 * y, bearing_text(bearing), fontsize=7, color=PALE,
+            1.02 * x, 1.02 * y, bearing_text(bearing), fontsize=7, color=ink,
             ha="left" if x > 0.1 * far else "right" if x < -0.1 * far else "center",
             va="bottom" if y > 0.0 else "top",
         )  # fmt: skip
@@ -286,7 +333,6 @@ def _fan_axes(
     )
     axes.set_aspect("equal")
     axes.set_axis_off()
-    return figure, axes
 
 
 def _waterfall_axes(

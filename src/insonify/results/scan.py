@@ -21,7 +21,7 @@ from insonify.io.truth import load_truth, save_truth
 from insonify.mission.account import Account
 from insonify.mission.loop import Step
 from insonify.mission.result import ScanResult
-from insonify.mission.run import KEYFRAMES, Run, execute
+from insonify.mission.run import KEYFRAMES, Remembered, Run, execute
 from insonify.mission.setup import Config
 from insonify.planning.decision import DecisionRecord
 from insonify.results.files import CONFIG, RECORDING, load_result, save_result
@@ -66,16 +66,12 @@ def run_scan(
         InsonifyError: The config does not make a world that can be scanned.
     """
     from insonify.results.recorder import recording
-    from insonify.results.resume import remembered
 
     text = config_to_toml(config, "scan")
-    broken_off = is_interrupted(target, text)
-    force |= broken_off
+    cut_short = is_interrupted(target, text)
+    force |= cut_short
     with result_folder(target, force=force, job=text, progress=_recorded_bytes) as place:
-        before = place.before or (target if broken_off else None)
-        known, past = remembered(before) if before is not None else (0, iter(()))
-        if known:
-            _log.info("going on after the %d pings of a scan that was broken off", known)
+        past = _going_on_after(place.before or (target if cut_short else None))
         with _kept_if_stopped(place), recording(place.scratch) as record:
 
             def each(run: Run, step: Step) -> None:
@@ -85,6 +81,16 @@ def run_scan(
             run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
         result = _save_or_keep(run, place, phase)
     return result, place.target
+
+
+def _going_on_after(before: Path | None) -> Iterator[Remembered]:
+    """The pings of a scan that was broken off, which is said."""
+    from insonify.results.resume import remembered
+
+    known, past = (0, iter(())) if before is None else remembered(before)
+    if known:
+        _log.info("going on after the %d pings of a scan that was broken off", known)
+    return past
 
 
 def place_for(config: Config, wanted: Path) -> Path:
@@ -179,12 +185,12 @@ def _report(account: Account, path: Path) -> None:
 
 
 def is_scan(folder: Path) -> bool:
-    """Whether a folder is one of `save_scan`, with all that `load_scan` needs."""
+    """Whether a folder is one of `save_scan`, with all that `load_run` needs."""
     names = (RESULT, CONFIG, DECISIONS, TRUTH, MAP)
     return all((folder / name).is_file() for name in names)
 
 
-def load_scan(folder: Path | str, *, with_keyframes: bool = False) -> Account:
+def load_run(folder: Path | str, *, with_keyframes: bool = False) -> Account:
     """Read a run back: nothing is run again, and neither its planner nor its mesh is needed.
 
     Args:

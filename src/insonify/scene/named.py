@@ -19,10 +19,10 @@ from insonify.scene.worlds import load_scene
 def named_scene(
     world: str, search: Iterable[Path] = (), materials: dict[str, Material] | None = None
 ) -> Scene:
-    """The scene of an experiment, of a scenario (with seed 0), or of a world or mesh file.
+    """The scene of an experiment, of a scenario, or of a world or mesh file.
 
     Args:
-        world: Its name or path.
+        world: Its name or path; ``NAME@7`` is a scenario with seed 7, else it is that of seed 0.
         search: Folders in which an SDF world's models are looked for.
         materials: A user's materials by name.
 
@@ -33,11 +33,13 @@ def named_scene(
     if world in EXPERIMENTS:
         return EXPERIMENTS[world]()
     scenarios = named_tables("scenarios")
-    if world in scenarios:
-        config = scenarios[world]["config"]
+    name, _, seed = world.partition("@")
+    if name in scenarios and (name == world or (seed.isascii() and seed.isdecimal())):
+        config = scenarios[name]["config"]
         return Stage(
             validated(ObjectSettings, config.get("object", {}), prefix="object."),
             validated(SeabedSettings, config.get("seabed", {}), prefix="seabed."),
+            seed=int(seed or 0),
             field=validated(FieldSettings, config.get("field", {}), prefix="field."),
         ).scene
     path = Path(world)

@@ -20,7 +20,7 @@ from insonify.mission.account import Account
 from insonify.mission.remap import Remap, map_recordings
 from insonify.results.files import CONFIG, RECORDING
 from insonify.results.map import MapConfig, config_of
-from insonify.results.scan import is_scan, load_scan
+from insonify.results.scan import is_scan, load_run
 from insonify.types import Box, PosedPing
 from insonify.view.story import Story, Thinned
 
@@ -92,7 +92,7 @@ def map_story(path: Path, region: Box | None = None) -> Story:
 
 def _scan_story(folder: Path) -> Told:
     """A run as its files tell it: decisions and truth at once, its pings as they are read."""
-    account = load_scan(folder)
+    account = load_run(folder)
     result = account.result
     story = Story(f"{result.scenario}, {result.planner} planner, seed {result.seed}")
     story.world, story.region = account.solids, account.region

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from insonify.io.maps.colours import probability_colours
 from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
 from insonify.planning.entropy import binary_entropy
 from insonify.types import Box
 
 _PLY = {"<f8": "double", "<f4": "float", "u1": "uchar"}
+_COLOURS = ("red", "green", "blue")
 EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
 
 
@@ -21,7 +23,8 @@ def save_point_cloud(
 
     Those are the voxels that are occupied or of the surface, and in ``region`` those in view and
     undecided, with properties ``x, y, z`` (centre, metres, in the world), ``probability``,
-    ``entropy`` and ``surface`` (1 where an object's surface passes through), sorted by x, y, z.
+    ``entropy``, ``surface`` (1 where an object's surface passes through) and ``red, green, blue``
+    by probability, sorted by x, y, z.
     Of a map with an origin the centres are of double precision.
 
     Args:
@@ -47,13 +50,16 @@ def save_point_cloud(
     order = np.lexsort(index.T[::-1])
     names = ("x", "y", "z", "probability", "entropy")
     far = any(voxels.origin_m)
-    kinds = {name: "<f8" if far and name in "xyz" else "<f4" for name in names} | {"surface": "u1"}
+    kinds = {name: "<f8" if far and name in "xyz" else "<f4" for name in names}
+    kinds |= dict.fromkeys(("surface", *_COLOURS), "u1")
     points = np.empty(len(index), list(kinds.items()))
     for axis, name in enumerate("xyz"):
         points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order] + voxels.origin_m[axis]
     points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
     points["entropy"] = entropy[slot, voxel][order]
     points["surface"] = surface[slot, voxel][order]
+    for name, shade in zip(_COLOURS, probability_colours(points["probability"]).T, strict=False):
+        points[name] = shade
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
     header += [f"property {_PLY[kind]} {name}" for name, kind in kinds.items()]
     with path.open("wb") as file:

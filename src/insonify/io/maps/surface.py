@@ -13,6 +13,7 @@ import numpy as np
 import trimesh
 
 from insonify.errors import OutputError
+from insonify.io.maps.colours import probability_colours
 from insonify.io.maps.sidecar import save_origin
 from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
 from insonify.types import Array, Float32, Float64
@@ -99,14 +100,6 @@ def exposed_squares(index: Array) -> tuple[Array, Array]:
             corners.append(base[:, None, :] + np.stack(around))
             owners.append(bare)
     return np.concatenate(corners), np.concatenate(owners)
-
-
-def probability_colours(probability: Float32) -> Array:
-    """RGBA bytes (N, 4) of occupied voxels: from deep blue where in doubt to yellow where sure."""
-    from matplotlib import colormaps
-
-    colours: Array = colormaps["viridis"](np.clip(2.0 * probability - 1.0, 0, 1), bytes=True)
-    return colours
 
 
 def _keys(index: Array) -> Array:

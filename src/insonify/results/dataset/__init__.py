@@ -1,4 +1,4 @@
-"""Datasets on the disk: a Zarr store, pictures with masks, and COCO annotations."""
+"""Datasets on the disk: a Zarr store, pictures with masks, COCO; on demand YOLO and WebDataset."""
 
 from __future__ import annotations
 
@@ -19,10 +19,14 @@ import numba
 
 from insonify.config.toml import config_to_toml
 from insonify.errors import ConfigError, InsonifyError, MemoryLimitError, OutputError
-from insonify.imaging.dataset import Dataset, Shots
+from insonify.extras import optional
+from insonify.imaging.collection import Collection
+from insonify.imaging.dataset import Dataset
 from insonify.io.folders import ResultFolder, result_folder, write_file
 from insonify.mission.result import DatasetResult
-from insonify.results.dataset import coco, store
+from insonify.results.dataset import coco, shards, store, yolo
+from insonify.results.dataset.card import Counts, write_card
+from insonify.results.dataset.licences import licence_of
 from insonify.results.files import CONFIG, save_result
 from insonify.results.replay import PINGS, save_replay
 
@@ -32,7 +36,7 @@ IMAGES, MASKS, STORE, ANNOTATIONS = "images", "masks", "dataset.zarr", "annotati
 
 _NO_ROOM = (MemoryLimitError, OutputError)
 _log = logging.getLogger(__name__)
-_shots: Shots | None = None
+_views: Collection | None = None
 """What a worker process makes views of."""
 
 
@@ -138,7 +142,7 @@ def write_dataset(
         ConfigError: No pose was found for a view, there is no such world, or it has too many
             bodies.
         MemoryLimitError: A worker was killed.
-        MissingExtraError: The package zarr is not installed.
+        MissingExtraError: zarr is not installed, or what a format needs.
     """
     result = _written(config, folder, workers, watch, should_stop)
     if result is not None:
@@ -154,26 +158,69 @@ def _written(
     should_stop: Callable[[], bool],
 ) -> DatasetResult | None:
     """All of a dataset, and still the folder that says which of its views are whole."""
-    shots = _prepared(config, folder)
+    views = _prepared(config, folder)
     missing = [k for k in range(config.count) if not _marker(folder, k).is_file()]
     done = config.count - len(missing)
     watch(done)
-    for _ in _made(shots, folder, missing, workers, should_stop):
+    for _ in _made(views, folder, views.by_world(missing), workers, should_stop):
         done += 1
         watch(done)
     if done < config.count:
         return None
-    store.finish(folder / STORE, shots, [row["pose"] for row in _rows(config, folder)])
-    seen = coco.write_annotations(folder / ANNOTATIONS, shots, lambda: _rows(config, folder))
+    return _finished(views, folder)
+
+
+def _finished(views: Collection, folder: Path) -> DatasetResult:
+    """Write what is of all views, once they are whole."""
+    config = views.config
+    store.finish(folder / STORE, views, [row["pose"] for row in _rows(config, folder)])
+    coco.write_annotations(folder / ANNOTATIONS, views, lambda: _rows(config, folder))
+    if len(views.parts) > 1:
+        for part in views.parts:
+            path = folder / f"annotations-{part}.json"
+            coco.write_annotations(path, views, lambda: _rows(config, folder), part)
+    if "yolo" in config.formats:
+        yolo.write_index(folder, views, IMAGES)
+    if "webdataset" in config.formats:
+        shutil.rmtree(folder / shards.SHARDS, ignore_errors=True)
+        (folder / shards.SHARDS).mkdir()
+        rows = _rows(config, folder)
+        shards.write_shards(folder / shards.SHARDS, views, rows, folder / IMAGES, folder / MASKS)
+    counts = Counts(views, _rows(config, folder))
+    write_card(folder, counts, _files(views))
     result = DatasetResult(
-        world=config.world,
+        world=", ".join(config.worlds),
         sonar=config.sonar.name,
         seed=config.seed,
         views=config.count,
-        categories=seen,
-    )
+        categories=counts.categories,
+        parts={
+            part: {
+                "views": int(total),
+                "worlds": [name for name, its in zip(config.names, config.parts, strict=True)
+                           if its == part],
+            }
+            for part, total in zip(views.parts, counts.total, strict=True)
+        },
+    )  # fmt: skip
     save_result(result, folder)
     return result
+
+
+def _files(views: Collection) -> Iterator[tuple[str, str]]:
+    """What lies in the folder of a dataset, for its card."""
+    yield f"{IMAGES}/000000.png", "the image, 8 bits: a row a range bin, the nearest on top"
+    yield f"{MASKS}/000000.png", "the category of each pixel, 0 for none"
+    yield STORE, "all in full precision, with truth and poses (Zarr 3, for xarray)"
+    yield ANNOTATIONS, "COCO"
+    if len(views.parts) > 1:
+        yield "annotations-PART.json", "COCO, of a part alone"
+    if "yolo" in views.config.formats:
+        yield f"{yolo.LABELS}/000000.txt", "YOLO: polygons"
+        yield yolo.DATA, "YOLO: parts and categories"
+    if "webdataset" in views.config.formats:
+        yield f"{shards.SHARDS}/PART-000000.tar", "WebDataset: json, mask.png and png of each view"
+    yield CONFIG, "the settings"
 
 
 def _rows(config: Dataset, folder: Path) -> Iterator[dict[str, Any]]:
@@ -182,27 +229,29 @@ def _rows(config: Dataset, folder: Path) -> Iterator[dict[str, Any]]:
         yield json.loads(_marker(folder, number).read_text(encoding="utf-8"))
 
 
-def _prepared(config: Dataset, folder: Path) -> Shots:
-    """The views to be made, with a folder and a store for them."""
-    scene = config.scene()
-    if len(scene.labels) > coco.MOST_LABELS:
+def _prepared(config: Dataset, folder: Path) -> Collection:
+    """The views to be made, with folders and a store for them."""
+    licence_of(config.license)
+    if "yolo" in config.formats:
+        optional("contourpy", "reports", "labels for YOLO")
+    views = Collection(config)
+    kinds = len(coco.categories_of(views.labels)) - 1
+    if kinds > coco.MOST_LABELS:
         raise ConfigError(
-            f"{config.world}: has {len(scene.labels)} bodies, and a mask tells "
+            f"{', '.join(config.worlds)}: has {kinds} bodies, and a mask tells "
             f"{coco.MOST_LABELS} apart; merge some"
         )
-    shots = Shots(config, scene)
-    shots.pose(0)  # found out before any work, if none can be had
-    for name in (DONE, IMAGES, MASKS):
+    for name in (DONE, IMAGES, MASKS, *((yolo.LABELS,) if "yolo" in config.formats else ())):
         (folder / name).mkdir(exist_ok=True)
     if not (folder / STORE / "zarr.json").is_file() or not any((folder / DONE).iterdir()):
         shutil.rmtree(folder / STORE, ignore_errors=True)
-        store.create(folder / STORE, shots)
+        store.create(folder / STORE, views)
     store.tidy(folder / STORE)
-    return shots
+    return views
 
 
 def _made(
-    shots: Shots,
+    views: Collection,
     folder: Path,
     missing: list[int],
     workers: int,
@@ -211,14 +260,14 @@ def _made(
     """Make the missing views; yields each as soon as it is whole."""
     if workers == 1 or len(missing) < 2:
         for number in missing:
-            _write_shot(shots, folder, number)
+            _write_shot(views, folder, number)
             yield number
             if should_stop():
                 return
         return
     ahead = iter(missing)
     with ProcessPoolExecutor(
-        workers, get_context("spawn"), initializer=_begin, initargs=(shots.config,)
+        workers, get_context("spawn"), initializer=_begin, initargs=(views.config, views.labels)
     ) as pool:
         running: set[Future[int]] = set()
         while True:
@@ -238,28 +287,31 @@ def _made(
                     ) from err
 
 
-def _begin(config: Dataset) -> None:
-    """Prepare a worker process: its world, one thread, and no ears for Ctrl-C."""
-    global _shots
+def _begin(config: Dataset, labels: tuple[str, ...]) -> None:
+    """Prepare a worker process: its worlds, one thread, and no ears for Ctrl-C."""
+    global _views
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the first process has told them
     numba.set_num_threads(1)
-    _shots = Shots(config, config.scene())
+    _views = Collection(config, labels)
 
 
 def _work(folder: Path, number: int) -> int:
-    assert _shots is not None
-    _write_shot(_shots, folder, number)
+    assert _views is not None
+    _write_shot(_views, folder, number)
     return number
 
 
-def _write_shot(shots: Shots, folder: Path, number: int) -> None:
+def _write_shot(views: Collection, folder: Path, number: int) -> None:
     """Write all files of a view, and last the one that says that it is whole."""
-    shot = shots.shot(number)
+    shot = views.shot(number)
     assert shot.truth is not None
     store.write(folder / STORE, shot)
     write_file(folder / IMAGES / coco.file_name(number), coco.image_png(shot.posed.ping))
     write_file(folder / MASKS / coco.file_name(number), coco.mask_png(shot.truth))
+    if "yolo" in views.config.formats:
+        labels = folder / yolo.LABELS / yolo.label_name(number)
+        write_file(labels, yolo.label_text(shot.truth))
     write_file(_marker(folder, number), json.dumps(coco.row(shot)).encode())
 
 

@@ -9,19 +9,24 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from insonify.imaging.dataset import Shots
+from insonify.imaging.collection import Collection
 from insonify.imaging.route import Shot
+from insonify.results.dataset.licences import licence_of
 from insonify.sonar.truth import Truth, label_colours
 from insonify.types import Array, Bool, Ping
 
 SHADOW = "shadow"
+SLICES = 20
+"""Of range and of intensity, in which pixels are counted for the dataset's statistics."""
+_NUMBERED = re.compile(r"#\d+$")
 MOST_LABELS = 254
 """A mask has a byte a pixel, and needs two values for nothing and shadow."""
 
@@ -38,98 +43,140 @@ def image_png(ping: Ping) -> bytes:
 
 
 def mask_png(truth: Truth) -> bytes:
-    """What each pixel shows: 0 nothing, k + 1 label k, and last shadow; with a palette."""
-    numbers = category_pixels(truth)
-    picture = Image.fromarray(numbers)
+    """The category of each pixel: 0 none, and last shadow; with a palette."""
+    picture = Image.fromarray(category_pixels(truth))
     colours = np.zeros((256, 3), np.uint8)
-    count = len(truth.labels)
+    count = len(categories_of(truth.labels)) - 1
     colours[1 : count + 1] = np.round(255 * label_colours(count))
     colours[count + 1] = (70, 70, 90)
     picture.putpalette(colours.tobytes())
     return _png(picture)
 
 
+def category_of(label: str) -> str:
+    """What kind of thing a body is: ``tower`` of ``tower#2``, the second of a field."""
+    return _NUMBERED.sub("", label)
+
+
+def categories_of(labels: Iterable[str]) -> list[str]:
+    """The names of categories 1, 2...: the kinds of bodies, and last what is in shadow."""
+    return [*dict.fromkeys(map(category_of, labels)), SHADOW]
+
+
 def category_pixels(truth: Truth) -> Array:
     """The category of each pixel, (bins, beams) uint8: 0 for none."""
-    numbers = (truth.label + 1).astype(np.uint8)
-    numbers[truth.shadow] = len(truth.labels) + 1
+    numbers = np.zeros(truth.label.shape, np.uint8)
+    for category, mask in masks_of(truth):
+        numbers[mask] = category
     return numbers
 
 
+def masks_of(truth: Truth) -> Iterator[tuple[int, Bool]]:
+    """Of each body that a view shows the number of its category and its pixels; then the shadow."""
+    names = categories_of(truth.labels)
+    lit = np.where(truth.shadow, -1, truth.label)
+    for body in np.unique(lit[lit >= 0]).tolist():
+        yield 1 + names.index(category_of(truth.labels[body])), lit == body
+    if truth.shadow.any():
+        yield len(names), truth.shadow
+
+
 def row(shot: Shot) -> dict[str, Any]:
-    """What is said of a view: its pose, and each category's mask in it."""
+    """What is said of a view: its pose, and each body's mask in it.
+
+    Beside a mask stand its pixels by `SLICES` of range, the nearest first; beside all, those of the
+    image by slices of intensity.
+    """
     assert shot.truth is not None
     assert shot.posed.pose is not None
-    numbers = category_pixels(shot.truth)
-    bins, beams = numbers.shape
+    bins, beams = shot.truth.label.shape
+    slices = np.arange(bins) * SLICES // bins
+    bright = np.clip(shot.posed.ping.image, 0.0, 1.0)
+    found = []
+    for category, mask in masks_of(shot.truth):
+        by_range = np.bincount(slices, mask.sum(axis=1), SLICES).astype(int).tolist()
+        found.append({"ranges": by_range, "mask": {"category_id": category} | _annotation(mask)})
     return {
         "pose": shot.posed.pose.numbers,
         "size": [bins, beams],
-        "masks": [
-            {"category_id": int(k)} | _annotation(numbers == k) for k in np.unique(numbers) if k
-        ],
-    }  # fmt: skip
+        "levels": np.histogram(bright, SLICES, (0.0, 1.0))[0].tolist(),
+        "found": found,
+    }
 
 
 def write_annotations(
-    path: Path, shots: Shots, rows: Callable[[], Iterable[dict[str, Any]]]
-) -> dict[str, dict[str, int]]:
+    path: Path, views: Collection, rows: Callable[[], Iterable[dict[str, Any]]], part: str = ""
+) -> None:
     """Write the annotations of all views, one after another, since they may be many.
 
     Args:
         path: The file; it appears whole or not at all.
-        shots: The dataset.
+        views: The dataset.
         rows: What `row` said of each view, in order, to be gone through twice.
-
-    Returns:
-        In how many views each category is, and how many pixels show it.
+        part: Only the views of it.
     """
-    names = [*shots.scene.labels, SHADOW]
-    seen = {name: {"views": 0, "pixels": 0} for name in names}
+    names = categories_of(views.labels)
     scratch = path.with_name(f".{path.name}.part")
-    with scratch.open("w", encoding="utf-8") as file:
-        head = json.dumps({"info": _info(shots), "licenses": [], "categories": _categories(names)})
-        file.write(head.removesuffix("}") + ', "images": [')
+
+    def chosen() -> Iterator[tuple[int, dict[str, Any]]]:
         for number, said in enumerate(rows()):
-            file.write((",\n" if number else "\n") + json.dumps(_image(number, said)))
+            if part in ("", views.part(number)):
+                yield number, said
+
+    with scratch.open("w", encoding="utf-8") as file:
+        head = json.dumps(
+            {"info": _info(views), "licenses": _licenses(views), "categories": _categories(names)}
+        )
+        file.write(head.removesuffix("}") + ', "images": [')
+        for count, (number, said) in enumerate(chosen()):
+            file.write((",\n" if count else "\n") + json.dumps(_image(views, number, said)))
         file.write('\n], "annotations": [')
         count = 0
-        for number, said in enumerate(rows()):
-            for mask in said["masks"]:
-                note = {"id": count + 1, "image_id": number, "iscrowd": 0} | mask
+        for number, said in chosen():
+            for one in said["found"]:
+                note = {"id": count + 1, "image_id": number, "iscrowd": 0} | one["mask"]
                 file.write((",\n" if count else "\n") + json.dumps(note))
-                entry = seen[names[mask["category_id"] - 1]]
-                entry["views"] += 1
-                entry["pixels"] += mask["area"]
                 count += 1
         file.write("\n]}\n")
     scratch.replace(path)
-    return seen
 
 
-def _info(shots: Shots) -> dict[str, str]:
-    config = shots.config
+def _info(views: Collection) -> dict[str, str]:
+    config = views.config
     about = (
-        f"{config.world}, {config.sonar.name}, {config.model}, seed {config.seed}; polar images: "
-        "rows are range bins, nearest on top, columns are beams, port on the left"
+        f"{', '.join(config.worlds)}, {config.sonar.name}, {config.model}, seed {config.seed}; "
+        "polar images: rows are range bins, nearest on top, columns are beams, port on the left"
     )
     return {"description": about, "version": "1"}
+
+
+def _licenses(views: Collection) -> list[dict[str, Any]]:
+    told = licence_of(views.config.license)
+    return [] if told is None else [{"id": 1, "name": told.name, "url": told.link}]
 
 
 def _categories(names: list[str]) -> list[dict[str, Any]]:
     return [{"id": k, "name": name, "supercategory": "sonar"} for k, name in enumerate(names, 1)]
 
 
-def _image(number: int, said: dict[str, Any]) -> dict[str, Any]:
+def _image(views: Collection, number: int, said: dict[str, Any]) -> dict[str, Any]:
     bins, beams = said["size"]
-    pose = said["pose"]
+    licensed = {"license": 1} if views.config.license else {}
     return {
         "id": number,
         "file_name": f"images/{file_name(number)}",
         "width": beams,
         "height": bins,
-        "pose_m_deg": [*pose[:3], *map(math.degrees, pose[3:])],
-    }
+        "world": views.config.names[views.world(number)],
+        "split": views.part(number),
+        "pose_m_deg": pose_m_deg(said),
+    } | licensed
+
+
+def pose_m_deg(said: dict[str, Any]) -> list[float]:
+    """Where a view of `row` was taken: x, y, z, roll, pitch, yaw."""
+    pose = said["pose"]
+    return [*pose[:3], *map(math.degrees, pose[3:])]
 
 
 def _annotation(mask: Bool) -> dict[str, Any]:

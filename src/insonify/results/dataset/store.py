@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from insonify.extras import optional
-from insonify.imaging.dataset import Shots
+from insonify.imaging.collection import Collection
 from insonify.imaging.route import Shot
 from insonify.io.recordings.recording import Recording
-from insonify.types import Array, FanGeometry, Float64, Ping, Pose, PosedPing
+from insonify.results.dataset.coco import categories_of
+from insonify.types import POSE, Array, FanGeometry, Float64, Ping, Pose, PosedPing
 
 PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
     "image": (np.float32, float("nan"), {"long_name": "intensity", "units": "1"}),
@@ -24,20 +25,22 @@ PIXELWISE: dict[str, tuple[type, Any, dict[str, str]]] = {
     "shadow": (np.bool_, False, {"long_name": "hidden by what lies before"}),
 }
 """Variables over (view, bin, beam): type, what stands for a chunk not written, attributes."""
-POSE = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
 
 
-def create(path: Path, shots: Shots) -> None:
+def create(path: Path, views: Collection) -> None:
     """Make a store for all views, empty yet.
 
     Raises:
         MissingExtraError: The package zarr is not installed.
     """
     zarr = optional("zarr", "datasets", "a dataset")
-    config, fan = shots.config, shots.geometry
+    config, fan = views.config, views.geometry
     about = {
-        "title": f"insonify dataset of {config.world}",
-        "labels": list(shots.scene.labels),
+        "title": f"insonify dataset of {', '.join(config.names)}",
+        "worlds": list(config.names),
+        "parts": list(config.parts),
+        "labels": list(views.labels),
+        "categories": categories_of(views.labels),
         "sonar": config.sonar.name,
         "model": config.model,
         "seed": config.seed,
@@ -73,21 +76,24 @@ def write(path: Path, shot: Shot) -> None:
         group[name][shot.number] = pixels
 
 
-def finish(path: Path, shots: Shots, poses: list[list[float]]) -> None:
+def finish(path: Path, views: Collection, poses: list[list[float]]) -> None:
     """Write what is of all views: the poses, and where bins and beams lie."""
     zarr = optional("zarr", "datasets", "a dataset")
     group = zarr.open_group(path, mode="r+", zarr_format=3)
     columns: Float64 = np.array(poses, np.float64).reshape(-1, 6).T
     _line(group, "view", np.arange(len(poses)), "view", {"long_name": "number of the view"})
+    worlds = np.array([views.world(number) for number in range(len(poses))], np.int32)
+    of = {"long_name": "index into the attributes worlds and parts"}
+    _line(group, "world", worlds, "view", of)
     ranges = {"long_name": "centre range of the bin", "units": "m"}
-    _line(group, "bin_range_m", shots.geometry.bin_ranges_m, "bin", ranges)
+    _line(group, "bin_range_m", views.geometry.bin_ranges_m, "bin", ranges)
     azimuths = {"long_name": "centre azimuth of the beam, to port", "units": "rad"}
-    _line(group, "azimuth_rad", shots.geometry.beam_azimuths_rad, "beam", azimuths)
+    _line(group, "azimuth_rad", views.geometry.beam_azimuths_rad, "beam", azimuths)
     for name, values in zip(POSE, columns, strict=True):
         what, units = name.split("_")
         about = {"long_name": f"{what} of the vehicle", "units": units}
         _line(group, name, values, "view", about)
-    group.attrs["coordinates"] = " ".join(("bin_range_m", "azimuth_rad", *POSE))
+    group.attrs["coordinates"] = " ".join(("bin_range_m", "azimuth_rad", "world", *POSE))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that it is an extension of Zarr; xarray wants it
         zarr.consolidate_metadata(path)
