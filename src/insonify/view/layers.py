@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from insonify.evaluation import Solid
 from insonify.frames import quaternion_from_rotation, transform_from_pose, world_from_sonar
 from insonify.planning.decision import Look
-from insonify.report.pictures import scan_colour
+from insonify.report.colours import scan_colour
 from insonify.types import Array, Float32, Float64, Pose
 from insonify.view import shapes
 from insonify.view.cubes import Cubes
