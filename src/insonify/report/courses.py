@@ -9,17 +9,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from insonify.evaluation import Solid
 from insonify.frames import directions_from_angles, world_from_sonar
 from insonify.mission.account import Account
 from insonify.report.colours import INK, SOFT, scan_colour
 from insonify.report.fans import png
-from insonify.types import Array, Float64, PosedPing
+from insonify.types import Array, Float32, Float64, PosedPing
 
 NAMES = ("x (east), m", "y (north), m", "z (up), m")
 LONG = 1.7
 """How many times as long as wide a course is that takes a page's whole width."""
 _SEABED = "#cfc4ad"
 _BINS = 160
+_FRAME_IN = (0.75, 0.6)
+"""What labels take of a picture's width and height."""
+_FLATTEST, _STEEPEST = 0.2, 0.85
 _WIDTH, _WIDER = 1.8, 1.7
 """Of a line, and for each scan that comes after it, so that none hides the one before."""
 
@@ -66,11 +70,15 @@ def draw_course(account: Account, view: View, width_in: float) -> bytes:
         low[1] = min(low[1], _seabed_top(account, low[1]))
     margin = 0.05 * (high - low)[0], 0.1 * (high - low)[1]
     low, high = low - margin, high + margin
-    height_in = (width_in - 0.7) * (high - low)[1] / (high - low)[0] + 0.6
-    figure = Figure(figsize=(width_in, min(max(height_in, 1.5), 8.0)), layout="constrained")
+    across, up = high - low
+    ratio = min(max(up / across, _FLATTEST), _STEEPEST)
+    grown = np.array([max(up / ratio, across), max(across * ratio, up)]) - (high - low)
+    low, high = low - grown / 2, high + grown / 2
+    height_in = (width_in - _FRAME_IN[0]) * ratio + _FRAME_IN[1]
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
     axes = figure.add_subplot()
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal")
     _draw_ground(axes, account, view)
     if view is not ABOVE:
         _draw_beams(axes, account.keyframes, view)
@@ -117,17 +125,22 @@ def _draw_ground(axes: Axes, account: Account, view: View) -> None:
         return
     for solid in account.solids:
         if solid.name == "seabed":
-            at, top = _profile(np.asarray(solid.vertices, np.float64), view.across)
+            at, top = _profile(_seabed(solid), view.across)
             axes.fill_between(at, top, top.min() - 100.0, color=_SEABED, lw=0, zorder=-1)
 
 
 def _seabed_top(account: Account, otherwise: float) -> float:
     """How low a picture from the side must reach to show the seabed."""
-    heights = [np.median(s.vertices[:, 2]) for s in account.solids if s.name == "seabed"]
+    heights = [np.median(_seabed(s)[:, 2]) for s in account.solids if s.name == "seabed"]
     return float(min(heights, default=otherwise))
 
 
-def _profile(vertices: Float64, across: int) -> tuple[Float64, Float64]:
+def _seabed(solid: Solid) -> Float32:
+    """Its vertices as files keep them, so that a report of the files is that of the run."""
+    return np.asarray(solid.vertices, np.float32)
+
+
+def _profile(vertices: Float32, across: int) -> tuple[Float64, Float64]:
     """The seabed's mean height along an axis."""
     at = vertices[:, across]
     edges = np.linspace(at.min(), at.max(), _BINS + 1)

@@ -95,7 +95,9 @@ def _outline(account: Account) -> dict[str, Any]:
     segments = [np.zeros((0, 2, 3))]
     for solid in account.solids:
         if solid.name != "seabed":
-            segments += contours(Trimesh(solid.vertices, solid.faces, process=False))
+            segments += contours(
+                Trimesh(solid.vertices.astype(np.float32), solid.faces, process=False)
+            )
     lines = np.concatenate(segments)
     lines = lines[:: 1 + len(lines) // _MOST_SEGMENTS]
     broken = np.full((len(lines), 3, 3), np.nan, np.float32)
