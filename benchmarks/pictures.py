@@ -86,7 +86,7 @@ def pages() -> None:
         _photograph(browser, "report.png")
         page = Page(story)
         browser.get(page.url)
-        _when(browser, "img[alt='sonar image']")
+        _when(browser, "[data-image='ping']")
         back = run.pings - run.config.survey.waypoints * 3 // 2
         slider = browser.find_element("css selector", "[role=slider]")
         slider.send_keys(*[_ARROW_LEFT] * (run.pings - back))

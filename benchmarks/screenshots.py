@@ -124,6 +124,7 @@ def _view(browser: Any, run: Path, out: Path) -> None:
                 slider.send_keys(*keys)
                 time.sleep(_SETTLES_S)
                 _keep(browser, out, f"view-{moment}-{where}", size[0])
+            browser.get("about:blank")  # or it would miss its server
 
 
 def _moments(browser: Any) -> Iterator[tuple[str, list[str]]]:
@@ -146,9 +147,9 @@ def _moments(browser: Any) -> Iterator[tuple[str, list[str]]]:
 def serving(run: Path) -> Iterator[str]:
     """The address of the real command's view, as soon as it is printed."""
     line = [sys.executable, "-m", "insonify", "view", str(run)]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield process.stdout.readline().split()[1]
+    with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        yield process.stderr.readline().split()[1]
         process.send_signal(signal.SIGINT)
         process.wait(PATIENCE_S)
 

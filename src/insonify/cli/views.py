@@ -36,17 +36,24 @@ def view(
     as_json: JsonOption = False,
 ) -> None:
     """Show a run, a map or a recording in the browser, ping by ping."""
-    from insonify.view.page import Page
-    from insonify.view.sources import open_story
+    from insonify.view.server import Server
 
     how = map_config(voxel, None, settings)
     box = box_from_text(region) if region is not None else None
-    told = open_story(path, reading, how, box)
-    page = Page(told.story, host, port)
+    server = Server(host, port)
+    try:
+        if not as_json and path.exists():  # at once: what follows takes a second to import
+            tell(f"View: {server.url}  (Ctrl-C ends it)", flush=True)
+        from insonify.view.page import Page
+        from insonify.view.sources import open_story
+
+        told = open_story(path, reading, how, box)
+        page = Page(told.story, server=server)
+    except BaseException:
+        server.close()
+        raise
     if as_json:
         say_json({"url": page.url, "pings": told.count}, indent=None, flush=True)
-    else:
-        tell(f"View: {page.url}  (Ctrl-C ends it)", flush=True)
     try:
         with interruptible("closing the view") as interrupted:
             with progress("reading") as bar:

@@ -10,7 +10,7 @@ from insonify.mapping.voxels import BLOCK, IN_VIEW, VoxelMap, probability_from_l
 from insonify.planning.entropy import binary_entropy
 from insonify.types import Array, Bool, Box, Float32, Int32
 
-MOST_CUBES = 100_000
+MOST_CUBES = 300_000
 """More than this makes a page slow; they are merged, eight into one, until they are fewer."""
 LEAST_ENTROPY_BITS = 0.5
 _BITS = 21
