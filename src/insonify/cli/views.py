@@ -38,15 +38,17 @@ def view(
     """Show a run, a map or a recording in the browser, ping by ping."""
     from insonify.view.server import Server
 
-    how = map_config(voxel, None, settings)
-    box = box_from_text(region) if region is not None else None
     server = Server(host, port)
+    address = f"View: {server.url}  (Ctrl-C ends it)"
+    plain = path.exists() and settings is None and voxel is None and region is None
     try:
-        if not as_json and path.exists():  # at once: what follows takes a second to import
-            tell(f"View: {server.url}  (Ctrl-C ends it)", flush=True)
+        if plain and not as_json:  # at once, as what follows takes a second to import
+            tell(address, flush=True)
         from insonify.view.page import Page
         from insonify.view.sources import open_story
 
+        how = map_config(voxel, None, settings)
+        box = box_from_text(region) if region is not None else None
         told = open_story(path, reading, how, box)
         page = Page(told.story, server=server)
     except BaseException:
@@ -54,6 +56,8 @@ def view(
         raise
     if as_json:
         say_json({"url": page.url, "pings": told.count}, indent=None, flush=True)
+    elif not plain:  # there was more that could be wrong
+        tell(address, flush=True)
     try:
         with interruptible("closing the view") as interrupted:
             with progress("reading") as bar:

@@ -127,12 +127,13 @@ def _tell_scan(
     story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
     before = 1
     for number, (scan, posed) in enumerate(_by_scan(account, recording), 1):
+        story.add_ping(posed, scan)
+        story.changed()  # its image can be looked at while it is mapped
         if mapper is not None and posed.pose is not None:
             if scan > before:
                 mapper.finish_scan()
             mapper.integrate(posed.ping, posed.pose)
             before = scan
-        story.add_ping(posed, scan)
         if mapper is not None and story.maps.wants(number) and number < recording.count:
             story.add_map(mapper.voxels, account.region)
         story.changed()
