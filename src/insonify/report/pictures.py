@@ -176,7 +176,8 @@ def _draw_look(axes: Axes, look: Look, *, chosen: bool) -> None:
     share = look.h_cluster / cluster.entropy
     x = [pose.x_m for pose in look.candidates]
     y = [pose.y_m for pose in look.candidates]
-    axes.scatter(x, y, c=share, cmap="Blues", vmin=0, vmax=1, s=40, ec=INK, lw=0.7, zorder=3)
+    most = max(float(share.max()), look.termination)
+    axes.scatter(x, y, c=share, cmap="Blues", vmin=0, vmax=most, s=40, ec=INK, lw=0.7, zorder=3)
     for number, pose in enumerate(look.candidates):
         axes.annotate(
             str(number), (pose.x_m, pose.y_m), (5, 3), textcoords="offset points", fontsize=8,

@@ -9,7 +9,7 @@ import numpy as np
 
 from insonify.types import Array, Float32, Pose
 from insonify.view import shapes
-from insonify.view.cubes import Cubes
+from insonify.view.cubes import Cubes, grid_keys
 
 CHUNK_BITS = 5
 """Cubes are sent in chunks of 32 a side: what a ping changes lies in few of them."""
@@ -138,8 +138,9 @@ def _chunks(index: Array) -> Iterator[tuple[str, Array]]:
     """Which cubes (N, 3) lie in one chunk: its name, and their numbers."""
     if not len(index):
         return
-    keys, group = np.unique(index >> CHUNK_BITS, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    bounds = np.flatnonzero(np.diff(group.ravel()[order])) + 1
-    for key, chosen in zip(keys, np.split(order, bounds), strict=True):
-        yield "_".join(map(str, key)), chosen
+    keys = grid_keys(index >> CHUNK_BITS)
+    order = np.argsort(keys, kind="stable")
+    sorted_keys = keys[order]
+    bounds = np.flatnonzero(np.diff(sorted_keys)) + 1
+    for chosen in np.split(order, bounds):
+        yield str(keys[chosen[0]]), chosen
