@@ -114,8 +114,8 @@ def test_labels_come_and_go() -> None:
     scene = Scene()
     canvas = Canvas(scene)
     pose = Pose(1.0, 2.0, 3.0)
-    canvas.labels("/scans", [("scan 1", pose), ("scan 2", pose)], 1.0)
-    canvas.labels("/scans", [("scan 1", pose)], 1.0)
+    canvas.labels("/scans", [("scan 1", pose), ("scan 2", pose)], "top-left")
+    canvas.labels("/scans", [("scan 1", pose)], "top-left")
     assert list(scene.nodes.values()) == ["scan 1"] and scene.told == 2
     canvas.remove("/scans")
     assert scene.nodes == {}

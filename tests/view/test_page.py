@@ -216,6 +216,23 @@ def test_keys_and_both_widths(browser: Any, size: tuple[int, int]) -> None:
         page.close()
 
 
+def test_a_map_that_comes_after_its_ping_is_shown(browser: Any) -> None:
+    story = _story(2)
+    page = Page(story, port=8330)
+    try:
+        browser.get(page.url)
+        _until(lambda: "512 voxels occupied" in _text(browser))
+        voxels = VoxelMap(0.25)
+        voxels.allocate(np.zeros((1, 3), np.int32))
+        voxels.log_odds[:, :7], voxels.seen[:] = 1.0, IN_VIEW
+        story.add_map(voxels, Box((-1.0,) * 3, (3.0,) * 3))
+        story.changed()
+        _until(lambda: "7 voxels occupied" in _text(browser))
+    finally:
+        browser.get("about:blank")
+        page.close()
+
+
 def test_the_arrows_leave_the_camera_alone(browser: Any) -> None:
     from selenium.webdriver import ActionChains, Keys
 

@@ -73,14 +73,16 @@ class Canvas:
         for part, chosen in parts.items():
             self._chunk(part, centres[chosen], colours[chosen], cubes.edge_m)
 
-    def labels(self, name: str, told: list[tuple[str, Pose]], scale: float) -> None:
-        """Words at places."""
+    def labels(self, name: str, told: list[tuple[str, Pose]], anchor: str) -> None:
+        """Words at places, which are at the anchor of each."""
         parts = {f"{name}/{k}": word for k, word in enumerate(told)}
         self._drop(name, set(parts))
         for part, (text, pose) in parts.items():
             place = np.array(pose.position_m)
             if self._is_new(part, place, np.frombuffer(text.encode(), np.uint8)):
-                self.scene.add_label(part, text, position=place, font_screen_scale=scale)
+                self.scene.add_label(
+                    part, text, position=place, font_screen_scale=0.8, anchor=anchor
+                )
 
     def remove(self, name: str) -> None:
         """Take away what was drawn under a name."""

@@ -114,7 +114,9 @@ def draw_paths(canvas: Canvas, flown: Sequence[Moment]) -> None:
     for moment in posed:
         assert moment.pose is not None
         starts.setdefault(moment.scan, moment.pose)
-    canvas.labels("/path/scans", [(f"scan {scan}", pose) for scan, pose in starts.items()], 0.9)
+    canvas.labels(
+        "/path/scans", [(f"scan {scan}", pose) for scan, pose in starts.items()], "bottom-center"
+    )
 
 
 def draw_plan(canvas: Canvas, waypoints: Sequence[Pose]) -> None:
@@ -140,7 +142,7 @@ def draw_decision(canvas: Canvas, decision: Decision) -> None:
         (f"{k}: {share[k]:.0%}{' ★' if k == chosen else ''}", pose)
         for k, pose in enumerate(look.candidates)
     ]
-    canvas.labels("/candidates/shares", told, 0.8)
+    canvas.labels("/candidates/shares", told, "top-left")
     canvas.points("/cluster/all", look.cluster.voxels_m.astype(np.float32), _CLUSTER, 0.05)
 
 

@@ -15,12 +15,12 @@ from insonify.types import Float64, Ping
 from insonify.view import dress, layers, shapes, words
 from insonify.view.canvas import Canvas
 from insonify.view.server import Server
-from insonify.view.story import Story
+from insonify.view.story import MapPicture, Story
 
 _REST_S, _STEP_S = 0.05, 0.15
 """Between two drawings, and between two pings when playing."""
 _IMAGE_WIDTH = 560
-_NOTHING = (-1, -1, -1)
+_NOTHING: tuple[int, int, int, MapPicture | None] = (-1, -1, -1, None)
 _LAYERS = {
     "occupied": ("occupied voxels", True),
     "elsewhere": ("occupied, outside", False),
@@ -161,7 +161,9 @@ class Page:
         self._draw_world()
         self._grow(count)
         number = int(self._slider.value) if count else 0
-        state = (number, count, len(story.decisions) + bool(story.end))
+        found = story.maps.at(number)
+        told = len(story.decisions) + bool(story.end)
+        state = (number, count, told, None if found is None else found[1])
         if state == self._shown:
             return
         self._shown = state
