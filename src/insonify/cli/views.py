@@ -73,12 +73,14 @@ def view(
 
 def live_page(title: str) -> Page:
     """A page that waits for a run to be told to its story."""
+    from insonify.view.server import Server
+
+    server = Server()
+    tell(f"View: {server.url}", flush=True)
     from insonify.view.page import Page
     from insonify.view.story import Story
 
-    page = Page(Story(title))
-    tell(f"View: {page.url}")
-    return page
+    return Page(Story(title), server=server)
 
 
 def serve(page: Page) -> None:
