@@ -258,6 +258,11 @@ def test_what_the_page_needs_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         Page(Story("nothing"))
 
 
+def test_what_is_not_there_is_refused_without_an_address(run: Callable[..., str]) -> None:
+    assert "there is no such recording" in run("view", "nothing.mcap")
+    assert "mapping.voxel_m" in run("view", ".", "--voxel", "-1")
+
+
 def test_a_port_in_use_is_passed_over() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

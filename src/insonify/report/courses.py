@@ -68,7 +68,7 @@ def draw_course(account: Account, view: View, width_in: float) -> bytes:
     low, high = places.min(axis=0), places.max(axis=0)
     if view is not ABOVE:
         low[1] = min(low[1], _seabed_top(account, low[1]))
-    margin = 0.05 * (high - low)[0], 0.1 * (high - low)[1]
+    margin = 0.05 * (high - low)[0], 0.16 * (high - low)[1]
     low, high = low - margin, high + margin
     across, up = high - low
     ratio = min(max(up / across, _FLATTEST), _STEEPEST)
