@@ -28,7 +28,7 @@ from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.report.fans import INK, WATER, draw_fan, draw_waterfall, fan_pixels, png, scale_of
 from insonify.report.html import write_report
-from insonify.report.pictures import draw_decision, draw_slices
+from insonify.report.pictures import draw_candidates, draw_slices, draw_undecided
 from insonify.results.dataset import coco
 from insonify.scene import Scene
 from insonify.scene.experiments import bumpy_sphere, structures
@@ -56,9 +56,22 @@ def scan() -> None:
     account = run.account()
     _, posed = account.keyframes[3]
     first = account.decisions[1]
-    (FOLDER / "wreck-decision.png").write_bytes(draw_decision(account, first, 1))
+    decision = [draw_undecided(account, first), draw_candidates(first)]
+    _beside(decision).save(FOLDER / "wreck-decision.png", optimize=True)
     (FOLDER / "wreck-ping.png").write_bytes(draw_fan(posed.ping, "wreck, scan 2"))
-    (FOLDER / "wreck-map.png").write_bytes(draw_slices(account))
+    _beside([image for _, image in draw_slices(account)]).save(
+        FOLDER / "wreck-map.png", optimize=True
+    )
+
+
+def _beside(pictures: list[bytes]) -> Image.Image:
+    """Pictures in a row, on white."""
+    tiles = [Image.open(io.BytesIO(picture)).convert("RGB") for picture in pictures]
+    height = max(tile.height for tile in tiles)
+    row = Image.new("RGB", (sum(tile.width for tile in tiles), height), "white")
+    for k, tile in enumerate(tiles):
+        row.paste(tile, (sum(before.width for before in tiles[:k]), (height - tile.height) // 2))
+    return row
 
 
 def pages() -> None:
@@ -73,7 +86,7 @@ def pages() -> None:
         _photograph(browser, "report.png")
         page = Page(story)
         browser.get(page.url)
-        _when(browser, "img[alt='sonar image']")
+        _when(browser, "[data-image='ping']")
         back = run.pings - run.config.survey.waypoints * 3 // 2
         slider = browser.find_element("css selector", "[role=slider]")
         slider.send_keys(*[_ARROW_LEFT] * (run.pings - back))

@@ -17,7 +17,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # a process for each core is enough; th
 
 import numpy as np
 import pytest
-from benchmarks.chromium import chromium, missing
+from benchmarks.chromium import chromium, missing, resize
 from hypothesis import settings
 
 from insonify.cli import main
@@ -101,6 +101,7 @@ def open_chromium() -> Iterator[Any]:
 @pytest.fixture
 def browser(open_chromium: Any) -> Any:
     """The browser with an empty page and an empty log."""
+    resize(open_chromium, (1200, 900))
     open_chromium.get("about:blank")
     open_chromium.get_log("browser")
     return open_chromium

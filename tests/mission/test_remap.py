@@ -105,7 +105,8 @@ def test_the_report_of_an_empty_sea(tmp_path: Path, rng: np.random.Generator) ->
         replay = map_recordings([open_recording(tmp_path / "r.npz")], MappingSettings())
     write_map_report(replay, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
-    assert page.count("data:image/png;base64,") == 4
+    assert page.count("data:image/png;base64,") == 3 + 3 + 6
+    assert page.count("data:image/webp;base64,") == 1
     assert "http" not in page
 
 

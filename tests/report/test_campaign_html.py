@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from benchmarks.chromium import DESKTOP, PHONE, errors, fetched, resize, scrolls_sideways
 
 from insonify.mission.tables import Campaign
 from insonify.report.campaign_html import write_campaign_report
@@ -51,7 +52,7 @@ def test_it_shows_curves_figures_tests_and_failures(tmp_path: Path) -> None:
     text = _text(page)
     assert "Wrecks &amp; more" in text and "no &lt;way&gt;" in text
     assert "bayes / entropy bayes / uniform Wary / entropy Wary / uniform" in text
-    assert "oracle exact recall 0.250 ± 0.000" in text
+    assert "recall (oracle, exact) 0.250 ± 0.000" in text
     found = re.search(
         r"entropy - uniform wreck, park-2025, cerqueira, none, bayes 4 \+0\.(\d+)", text
     )
@@ -66,9 +67,14 @@ def test_one_seed_has_no_bands_and_no_p(tmp_path: Path) -> None:
     assert 'class="sure"' not in page and " ± 0." not in page
 
 
-def test_it_opens_in_chromium_without_an_error(tmp_path: Path, browser: Any) -> None:
+@pytest.mark.parametrize("size", [DESKTOP, PHONE])
+def test_it_opens_in_chromium_without_an_error(
+    tmp_path: Path, browser: Any, size: tuple[int, int]
+) -> None:
     write_campaign_report(_campaign(3), tmp_path / "r.html")
+    resize(browser, size)
     browser.get((tmp_path / "r.html").as_uri())
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert errors(browser) == [] and fetched(browser) == []
+    assert not scrolls_sideways(browser, size[0])
     widths = browser.execute_script("return [...document.images].map(i => i.naturalWidth)")
-    assert len(widths) == 1 and widths[0] > 500
+    assert len(widths) == 2 and min(widths) > 500

@@ -19,8 +19,8 @@ def test_a_flown_report_shows_tracks_errors_and_what_they_cost(tmp_path: Path) -
     run = execute(scenario_config("tetrapod", [SMALL, FLOWN]))
     write_report(run.account(), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    section = page[page.index('<section id="flight">') : page.index('<section id="pings">')]
-    assert len(re.findall(r'<img alt="[^"]+" src="data:image/png', section)) == 2
+    section = page[page.index('<section id="flight">') : page.index('<section id="map">')]
+    assert len(re.findall(r'<img alt="[^"]+" src="data:image/png', section)) == 2 + 6
     result = run.result().to_json()
     perfect = result["vehicle"]["metrics_at_true_poses"]["solid"]["exact"]["f1"]
     own = result["metrics"]["solid"]["exact"]["f1"]

@@ -77,7 +77,7 @@ def test_a_vehicle_adds_its_time_and_errors(tmp_path: Path) -> None:
     assert dvl["pose_error_position_max_m"] > 0 and dvl["true_poses_solid_exact_f1"] > 0
     moments = campaign.curves[campaign.curves["navigation"] == "dvl"]["time_s"]
     assert 0 < moments.iloc[-1] <= dvl["time_s"]
-    assert "area time" in (tmp_path / "c/report.html").read_text()
+    assert "mean over time" in (tmp_path / "c/report.html").read_text()
     names, rows = query(tmp_path / "c", "select navigation from runs where time_s is null")
     assert (names, rows) == (["navigation"], [("none",)])
 

@@ -20,10 +20,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.chromium import DESKTOP, PHONE, errors, fetched, resize, scrolls_sideways
 from PIL import Image
 
 from insonify.errors import MissingExtraError, OutputError
-from insonify.types import Array, StopReason
+from insonify.mapping.voxels import IN_VIEW, VoxelMap
+from insonify.types import Array, Box, FanGeometry, Ping, Pose, PosedPing, StopReason
 from insonify.view.guard import guarded, refusal
 from insonify.view.page import Page
 from insonify.view.story import Story
@@ -90,9 +92,12 @@ def _different(before: Array, now: Array) -> bool:
     return bool((np.abs(now - before).max(axis=2) > 24).mean() > 1e-3)
 
 
+_SOURCE = "return document.querySelector('[data-image=ping] image').getAttribute('href')"
+
+
 def _no_errors(browser: Any) -> None:
-    logs = browser.get_log("browser")
-    assert [entry for entry in logs if entry["level"] == "SEVERE"] == []
+    assert errors(browser) == []
+    assert [name for name in fetched(browser) if "//127.0.0.1:" not in name] == []
 
 
 def _tick(browser: Any, label: str) -> None:
@@ -116,9 +121,8 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         browser.get(said["url"])
         _until(lambda: f"ping {said['pings']} of {said['pings']}" in _text(browser))
         assert StopReason(result["stop_reason"]).sentence in _text(browser)
-        picture = browser.find_element("css selector", "img[alt='sonar image']")
-        last = picture.get_attribute("src")
-        _until(lambda: picture.get_property("naturalWidth") == 560)
+        last = browser.execute_script(_SOURCE)
+        assert "14.5° port" in _text(browser) and "14.5° stbd" in _text(browser)
         _until(lambda: len(np.unique(_canvas(browser).reshape(-1, 3) // 32, axis=0)) > 8)
         before = _settled(browser)
 
@@ -126,8 +130,7 @@ def test_a_run_in_the_browser(tmp_path: Path, browser: Any) -> None:
         slider.send_keys(*[Keys.ARROW_LEFT] * 6)
         _until(lambda: f"ping {said['pings'] - 6} of {said['pings']}" in _text(browser))
         assert StopReason(result["stop_reason"]).sentence not in _text(browser)
-        source = "return document.querySelector(\"img[alt='sonar image']\").src"
-        _until(lambda: browser.execute_script(source) != last)
+        _until(lambda: browser.execute_script(_SOURCE) != last)
         before = _changes(browser, before)
 
         _tick(browser, "play")
@@ -159,12 +162,105 @@ def test_a_scan_is_shown_while_it_runs(tmp_path: Path, browser: Any) -> None:
     assert process.returncode == 0
 
 
+def _story(pings: int) -> Story:
+    """Pings of a sonar that goes on by a metre each, over a map of one block."""
+    fan = FanGeometry(np.radians(60.0), np.radians(14.0), 16, 40, 0.5, 8.0)
+    story, voxels = Story("a story"), VoxelMap(0.25)
+    voxels.allocate(np.zeros((1, 3), np.int32))
+    voxels.log_odds[:], voxels.seen[:] = 1.0, IN_VIEW
+    for k in range(pings):
+        image = np.full((40, 16), (k + 1) / (pings + 1), np.float32)
+        story.add_ping(PosedPing(Ping(image, fan, time_s=float(k)), Pose(1.0 * k, 0.0, 3.0)))
+        story.add_map(voxels, Box((-1.0,) * 3, (3.0,) * 3))
+    return story
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE])
+def test_keys_and_both_widths(browser: Any, size: tuple[int, int]) -> None:
+    from selenium.webdriver import ActionChains, Keys
+
+    def at(number: int) -> bool:
+        return f"ping {number} of 6" in _text(browser)
+
+    page = Page(_story(6), port=8310)
+    try:
+        resize(browser, size)
+        browser.get(page.url)
+        assert browser.title == "insonify"
+        _until(lambda: at(6))
+        for key, number in (
+            (Keys.ARROW_LEFT, 5), (Keys.ARROW_LEFT, 4), (Keys.ARROW_RIGHT, 5),
+            (Keys.ARROW_RIGHT, 6), (Keys.ARROW_RIGHT, 6),
+        ):  # fmt: skip
+            ActionChains(browser).send_keys(key).perform()
+            _until(partial(at, number))
+        ActionChains(browser).send_keys(Keys.SPACE).perform()  # from the start again
+        _until(lambda: at(1) or at(2))
+        _until(lambda: at(6))
+        assert not scrolls_sideways(browser, size[0])
+        shown = "return document.querySelector(arguments[0]).getBoundingClientRect().toJSON()"
+        boxes = [
+            browser.execute_script(shown, what)
+            for what in ("[data-legend=viridis]", "[data-legend=magma]", "[data-image=ping]")
+        ]
+        for box in boxes:
+            assert 0 <= box["left"] < box["right"] <= size[0]
+        assert max(box["bottom"] for box in boxes[:2]) < size[1], "the legends are below the fold"
+        assert max(box["bottom"] for box in boxes[:2]) <= boxes[2]["top"] + 1
+        if size == PHONE:  # the scene has a place of its own above
+            canvas = browser.execute_script(shown, "canvas")
+            assert canvas["height"] > 0.3 * size[1] and canvas["bottom"] <= boxes[0]["top"]
+        _no_errors(browser)
+    finally:
+        browser.get("about:blank")
+        page.close()
+
+
+def test_a_map_that_comes_after_its_ping_is_shown(browser: Any) -> None:
+    story = _story(2)
+    page = Page(story, port=8330)
+    try:
+        browser.get(page.url)
+        _until(lambda: "512 voxels occupied" in _text(browser))
+        voxels = VoxelMap(0.25)
+        voxels.allocate(np.zeros((1, 3), np.int32))
+        voxels.log_odds[:, :7], voxels.seen[:] = 1.0, IN_VIEW
+        story.add_map(voxels, Box((-1.0,) * 3, (3.0,) * 3))
+        story.changed()
+        _until(lambda: "7 voxels occupied" in _text(browser))
+    finally:
+        browser.get("about:blank")
+        page.close()
+
+
+def test_the_arrows_leave_the_camera_alone(browser: Any) -> None:
+    from selenium.webdriver import ActionChains, Keys
+
+    story = _story(1)
+    page = Page(story, port=8320)
+    try:
+        browser.get(page.url)
+        _until(lambda: "a story" in _text(browser) and story.moments)
+        before = _settled(browser)
+        keys = ActionChains(browser).key_down(Keys.ARROW_LEFT).pause(1.0)
+        keys.key_up(Keys.ARROW_LEFT).perform()
+        assert not _different(before, _settled(browser))
+    finally:
+        browser.get("about:blank")
+        page.close()
+
+
 def test_what_the_page_needs_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OutputError, match=r"cannot be served at 203\.0\.113\.1:8195"):
         Page(Story("nowhere"), host="203.0.113.1", port=8195)
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'insonify\[view\]'"):
         Page(Story("nothing"))
+
+
+def test_what_is_not_there_is_refused_without_an_address(run: Callable[..., str]) -> None:
+    assert "there is no such recording" in run("view", "nothing.mcap")
+    assert "mapping.voxel_m" in run("view", ".", "--voxel", "-1")
 
 
 def test_a_port_in_use_is_passed_over() -> None:

@@ -36,18 +36,30 @@ def view(
     as_json: JsonOption = False,
 ) -> None:
     """Show a run, a map or a recording in the browser, ping by ping."""
-    begin("starting")
-    from insonify.view.page import Page
-    from insonify.view.sources import open_story
+    begin("starting the view")
+    from insonify.view.server import Server
 
-    how = map_config(voxel, None, settings)
-    box = box_from_text(region) if region is not None else None
-    told = open_story(path, reading, how, box)
-    page = Page(told.story, host, port)
+    server = Server(host, port)
+    address = f"View: {server.url}  (Ctrl-C ends it)"
+    plain = path.exists() and settings is None and voxel is None and region is None
+    try:
+        if plain and not as_json:  # at once, as what follows takes a second to import
+            tell(address, flush=True)
+            begin("opening")
+        from insonify.view.page import Page
+        from insonify.view.sources import open_story
+
+        how = map_config(voxel, None, settings)
+        box = box_from_text(region) if region is not None else None
+        told = open_story(path, reading, how, box)
+        page = Page(told.story, server=server)
+    except BaseException:
+        server.close()
+        raise
     if as_json:
         say_json({"url": page.url, "pings": told.count}, indent=None, flush=True)
-    else:
-        tell(f"View: {page.url}  (Ctrl-C ends it)", flush=True)
+    elif not plain:  # there was more that could be wrong
+        tell(address, flush=True)
     try:
         with interruptible("closing the view") as interrupted:
             with progress("reading") as bar:
@@ -63,12 +75,14 @@ def view(
 
 def live_page(title: str) -> Page:
     """A page that waits for a run to be told to its story."""
+    from insonify.view.server import Server
+
+    server = Server()
+    tell(f"View: {server.url}", flush=True)
     from insonify.view.page import Page
     from insonify.view.story import Story
 
-    page = Page(Story(title))
-    tell(f"View: {page.url}")
-    return page
+    return Page(Story(title), server=server)
 
 
 def serve(page: Page) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from insonify import __version__
 from insonify.config.settings import Table
 from insonify.mission.campaign import FACTORS
 from insonify.mission.statistics import interval
@@ -33,9 +34,10 @@ def write_campaign_report(campaign: Campaign, path: Path) -> None:
     runs = with_areas(campaign) if flown else campaign.runs
     page = template("campaign.html.jinja").render(
         title=campaign.title or "Campaign",
+        version=__version__,
         runs=len(runs),
         failed=[{"name": _named(row), **row} for row in campaign.failed],
-        counts=[(name, runs[name].nunique()) for name in FACTORS] if flown else [],
+        counts=list(_counts(runs)) if flown else [],
         settings=list(_settings(campaign, runs)) if flown else [],
         tests=[
             {"score": label, "rows": [_told(row) for row in paired(runs, score)]}
@@ -43,15 +45,15 @@ def write_campaign_report(campaign: Campaign, path: Path) -> None:
         ]
         if flown
         else [],
-        headline=HEADLINE.replace("_", " "),
+        headline=_words(HEADLINE),
     )
     path.write_text(page, encoding="utf-8")
 
 
 _TESTED = (
-    (HEADLINE, f"{HEADLINE.replace('_', ' ')} at the end"),
-    ("area_path", f"mean of {HEADLINE.replace('_', ' ')} along the path"),
-    ("area_pings", f"mean of {HEADLINE.replace('_', ' ')} over the pings"),
+    (HEADLINE, "F1 (solid, exact) at the end"),
+    ("area_path", "F1 (solid, exact), mean along the path"),
+    ("area_pings", "F1 (solid, exact), mean over the pings"),
 )
 
 
@@ -59,19 +61,58 @@ def _settings(campaign: Campaign, runs: Any) -> Iterator[Table]:
     """What is shown of each setting: the curves, and a table of final figures."""
     keys = list(SETTING)
     curves = dict(iter(campaign.curves.groupby(keys, sort=False)))
-    rows = [*AREAS, "scans", "pings", "path_m", "time_s", *scores(campaign.runs)]
+    rows = [HEADLINE, *AREAS, "scans", "pings", "path_m", "time_s"]
+    rows += [name for name in scores(campaign.runs) if name != HEADLINE]
     for names, group in runs.groupby(keys, sort=False):
         by = dict(iter(group.groupby(["mapper", "planner"], sort=False)))
         yield {
             "name": ", ".join(map(str, names)),
-            "curves": embed(draw_curves(curves[names], HEADLINE)),
+            "curves": [
+                (name, embed(drawn))
+                for name, drawn in draw_curves(curves[names], HEADLINE, _words(HEADLINE))
+            ],
+            "best": _best(by),
             "columns": [" / ".join(map(short, one)) for one in by],
             "rows": [
-                (row.replace("_", " "), [_cell(one[row].dropna()) for one in by.values()])
+                (_words(row), [_cell(one[row].dropna()) for one in by.values()])
                 for row in rows
                 if group[row].notna().any()
             ],
         }
+
+
+_WORDS = {
+    "area_path": "F1 (solid, exact), mean along the path",
+    "area_pings": "F1 (solid, exact), mean over the pings",
+    "area_time": "F1 (solid, exact), mean over time",
+    "path_m": "path, m",
+    "time_s": "time, s",
+}
+
+
+def _words(column: str) -> str:
+    """A column of the tables as people say it: ``solid_exact_f1`` is F1 (solid, exact)."""
+    if column in _WORDS or "_" not in column:
+        return _WORDS.get(column, column)
+    kind, _, rest = column.partition("_")
+    match, _, score = rest.rpartition("_")
+    score = score.upper() if score in ("f1", "f2", "f3") else score
+    return f"{score} ({kind}, {match.replace('_', ' ')})"
+
+
+def _counts(runs: Any) -> Iterator[tuple[str, int]]:
+    """What differs between the runs, and how many there are of each."""
+    for name in FACTORS:
+        count = runs[name].nunique()
+        if count > 1:
+            yield (name if name == "navigation" else f"{name}s"), count
+
+
+def _best(by: Table) -> Table:
+    """The mapper and planner with the highest mean at the end."""
+    names = max(by, key=lambda one: by[one][HEADLINE].mean())
+    values = by[names][HEADLINE].dropna()
+    return {"name": " / ".join(map(short, names)), "score": _cell(values), "seeds": len(values)}
 
 
 def _cell(values: Any) -> str:

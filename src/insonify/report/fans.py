@@ -311,7 +311,7 @@ def fan_grid(
     whole = half > 0.99 * math.pi
     angles = np.linspace(-half, half, 181)
     line = {"color": "w", "lw": 0.4, "alpha": 0.5, "zorder": 2}
-    for range_m in _ticks(far):
+    for range_m in range_ticks(far):
         axes.plot(range_m * np.sin(angles), range_m * np.cos(angles), **line)  # type: ignore[arg-type]
         x, y = (0.0, range_m) if whole else (range_m * math.sin(half), range_m * math.cos(half))
         axes.text(
@@ -358,7 +358,8 @@ def _legend(axes: Axes, labels: Sequence[str], present: Array, colours: Float32)
     axes.legend(handles=keys, fontsize=7, loc="lower left", framealpha=0.8)
 
 
-def _ticks(range_m: float) -> Float64:
+def range_ticks(range_m: float) -> Float64:
+    """Round ranges for rings, at most eight."""
     step = 10 ** math.floor(math.log10(range_m))
     for divisor in (5, 2, 1):
         if range_m / (step / divisor) <= 8:

@@ -22,8 +22,9 @@ from insonify.mission.run import Run
 from insonify.mission.tables import HEADLINE, SETTING, Campaign, short, summarise_campaign
 from insonify.names import figure_text, plain
 from insonify.report.campaign_pictures import curves_onto, draw_curves
+from insonify.report.colours import scan_colour
 from insonify.report.fans import INK, PALE, WATER, Scale, fan_onto, png
-from insonify.report.pictures import draw_ground, scan_colour
+from insonify.report.pictures import draw_ground
 from insonify.types import Array, Float64, Ping, PosedPing
 
 _SIDES = {"above": (0, 1, 2, 1), "south": (0, 2, 1, -1), "east": (1, 2, 0, 1)}
@@ -205,7 +206,7 @@ def _account_told(record: Account) -> tuple[str, Facts, Sequence[Facts], list[by
         "planner, mapper": f"{short(result.planner)}, {short(result.mapper)}",
         "seed": result.seed,
         "flown": f"{result.scans} scans, {result.pings} pings, {result.path_m:.1f} m",
-        "ended": result.stop_reason.sentence,
+        "ended": result.why_stopped or result.stop_reason.sentence,
     }
     if result.vehicle is not None:
         facts["vehicle"] = f"{result.vehicle.name}, {result.vehicle.time_s:.0f} s"
@@ -235,8 +236,9 @@ def _campaign_told(record: Campaign) -> tuple[str, Facts, Sequence[Facts], list[
             facts[name] = rows[0][name]
             rows = [{key: value for key, value in row.items() if key != name} for row in rows]
     settings = [group for _, group in record.curves.groupby(list(SETTING), sort=False)]
-    drawn = [draw_curves(group, HEADLINE) for group in settings[:_MOST_SETTINGS]]
-    return record.title or "Campaign", facts, rows, drawn
+    label = HEADLINE.replace("_", " ")
+    drawn = [draw_curves(group, HEADLINE, label) for group in settings[:_MOST_SETTINGS]]
+    return record.title or "Campaign", facts, rows, [group[0][1] for group in drawn if group]
 
 
 _SCORES = ("precision", "recall", "f1")

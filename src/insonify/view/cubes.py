@@ -10,7 +10,7 @@ from insonify.mapping.voxels import BLOCK, IN_VIEW, VoxelMap, probability_from_l
 from insonify.planning.entropy import binary_entropy
 from insonify.types import Array, Bool, Box, Float32, Int32
 
-MOST_CUBES = 100_000
+MOST_CUBES = 300_000
 """More than this makes a page slow; they are merged, eight into one, until they are fewer."""
 LEAST_ENTROPY_BITS = 0.5
 _BITS = 21
@@ -115,7 +115,7 @@ def _inside(index: Int32, voxel_m: float, region: Box) -> Bool:
 def _merged(index: Int32, value: Float32, voxel_m: float, count: int) -> Cubes:
     times = 1
     while len(index) > MOST_CUBES:
-        keys, group = np.unique(_keys(index >> 1), return_inverse=True)
+        keys, group = np.unique(grid_keys(index >> 1), return_inverse=True)
         largest = np.zeros(len(keys), np.float32)
         np.maximum.at(largest, group, value)
         first = np.zeros(len(keys), np.int64)
@@ -124,7 +124,7 @@ def _merged(index: Int32, value: Float32, voxel_m: float, count: int) -> Cubes:
     return Cubes(index, value.astype(np.float32), voxel_m, times, count)
 
 
-def _keys(index: Array) -> Array:
+def grid_keys(index: Array) -> Array:
     """One integer for each index (N, 3)."""
     keys: Array = (index.astype(np.int64) + _MIDDLE) @ np.array([1, 1 << _BITS, 1 << 2 * _BITS])
     return keys

@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from insonify.errors import OutputError
+from insonify.view.dress import dressed
 
 
 def refusal(host: str | None, origin: str | None, served: str) -> str:
@@ -78,7 +79,7 @@ def _asking(answer: Any, served: str) -> Callable[[Any, Any], Any]:
         why = refusal(host, origin, served)
         if why:
             return connection.respond(HTTPStatus.FORBIDDEN, f"{why}\n")
-        return None if answer is None else answer(connection, request)
+        return None if answer is None else dressed(answer(connection, request))
 
     return ask
 

@@ -13,17 +13,19 @@ from matplotlib.colors import to_rgb
 
 from insonify.evaluation import Solid
 from insonify.frames import quaternion_from_rotation, transform_from_pose, world_from_sonar
-from insonify.planning.decision import Look
-from insonify.report.pictures import scan_colour
+from insonify.planning.decision import Decision
+from insonify.report.colours import scan_colour
 from insonify.types import Array, Float32, Float64, Pose
 from insonify.view import shapes
+from insonify.view.canvas import Canvas
 from insonify.view.cubes import Cubes
 from insonify.view.story import Moment
 
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
 """Where a sonar is drawn of which nobody says where it was."""
 
-_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
+_TINTS = 32
+"""Colours of a scale: a change too small to be seen is not sent."""
 _PLANNED, _TRUE_PATH, _CLUSTER = (150, 150, 150), (240, 240, 240), (76, 201, 240)
 _EDGES, _SEABED, _OBJECT = (255, 190, 90), (94, 84, 64), (230, 230, 235)
 
@@ -53,55 +55,36 @@ def draw_world(scene: Any, world: Sequence[Solid]) -> None:
         )
 
 
-def draw_cubes(scene: Any, name: str, cubes: Cubes) -> None:
+def draw_cubes(canvas: Canvas, name: str, cubes: Cubes) -> None:
     """Occupied voxels, coloured by probability."""
-    if not len(cubes.index):
-        scene.remove_by_name(name)
-        return
-    scene.add_batched_meshes_simple(
-        name,
-        shapes.CUBE_CORNERS * np.float32(cubes.edge_m),
-        shapes.CUBE_FACES,
-        batched_wxyzs=np.tile(_UPRIGHT, (len(cubes.index), 1)),
-        batched_positions=cubes.centres_m,
-        batched_colors=_rgb("viridis", 2.0 * cubes.value - 1.0),
-        flat_shading=True,
-        cast_shadow=False,
-        receive_shadow=False,
-        lod="off",
-    )
+    canvas.cubes(name, cubes, _rgb("viridis", 2.0 * cubes.value - 1.0, _TINTS))
 
 
-def draw_entropy(scene: Any, undecided: Cubes) -> None:
+def draw_entropy(canvas: Canvas, undecided: Cubes) -> None:
     """Undecided voxels as dots, coloured by entropy."""
-    scene.add_point_cloud(
-        "/undecided/points",
-        undecided.centres_m,
-        _rgb("magma", 2.0 * undecided.value - 1.0),
-        point_size=0.25 * undecided.edge_m,
-        precision="float32",
-    )
+    colours = _rgb("magma", 2.0 * undecided.value - 1.0, _TINTS)
+    canvas.points("/undecided/points", undecided.centres_m, colours, 0.25 * undecided.edge_m)
 
 
 def draw_sonar(
-    scene: Any, moment: Moment, picture: Array, extent: tuple[float, float, float, float]
+    canvas: Canvas, moment: Moment, picture: Array, extent: tuple[float, float, float, float]
 ) -> None:
     """What the sonar insonifies, and its image in the plane of the middle elevation.
 
     Args:
-        scene: Where to.
+        canvas: Where to.
         moment: The ping.
         picture: The image in fan view, (height, width, 4) bytes, far end on top.
         extent: What it shows: left, right, near and far, metres.
     """
     world = world_from_sonar(moment.pose or AT_ORIGIN, moment.geometry.mount)
-    scene.add_frame(
+    canvas.scene.add_frame(
         "/sonar/frame", wxyz=_wxyz(world[:3, :3]), position=world[:3, 3], axes_length=0.6,
         axes_radius=0.02,
     )  # fmt: skip
-    _lines(scene, "/sonar/frame/edges", shapes.fan_edges(moment.geometry), _EDGES, 1.5)
+    canvas.lines("/sonar/frame/edges", shapes.fan_edges(moment.geometry), _EDGES, 1.5)
     left, right, near, far = extent
-    scene.add_image(
+    canvas.scene.add_image(
         "/sonar/frame/image",
         picture[::-2, ::2],  # its first row lies at the bottom there
         render_width=right - left,
@@ -114,7 +97,7 @@ def draw_sonar(
     )
 
 
-def draw_paths(scene: Any, flown: Sequence[Moment]) -> None:
+def draw_paths(canvas: Canvas, flown: Sequence[Moment]) -> None:
     """The scans so far, each in its colour, and where the vehicle really was, if elsewhere."""
     posed = [moment for moment in flown if moment.pose is not None]
     lines, colours = [], []
@@ -122,38 +105,45 @@ def draw_paths(scene: Any, flown: Sequence[Moment]) -> None:
         assert a.pose is not None and b.pose is not None
         lines.append((a.pose.position_m, b.pose.position_m))
         colours.append(_scan_rgb(b.scan) if a.scan == b.scan else _PLANNED)
-    _lines(scene, "/path/flown", np.array(lines, np.float32), np.array(colours, np.uint8), 3.0)
+    segments = np.array(lines, np.float32).reshape(-1, 2, 3)
+    canvas.lines("/path/flown", segments, np.array(colours, np.uint8).reshape(-1, 3), 3.0)
     true = [moment.true_pose or moment.pose or AT_ORIGIN for moment in flown]
     differs = any(moment.true_pose is not None for moment in flown)
-    _lines(scene, "/path/true", shapes.path_segments(true if differs else ()), _TRUE_PATH, 1.5)
+    canvas.lines("/path/true", shapes.path_segments(true if differs else ()), _TRUE_PATH, 1.5)
+    starts: dict[int, Pose] = {}
+    for moment in posed:
+        assert moment.pose is not None
+        starts.setdefault(moment.scan, moment.pose)
+    canvas.labels(
+        "/path/scans", [(f"scan {scan}", pose) for scan, pose in starts.items()], "bottom-center"
+    )
 
 
-def draw_plan(scene: Any, waypoints: Sequence[Pose]) -> None:
+def draw_plan(canvas: Canvas, waypoints: Sequence[Pose]) -> None:
     """The scan that was decided last."""
-    _lines(scene, "/path/planned", shapes.path_segments(waypoints), _PLANNED, 1.0)
+    canvas.lines("/path/planned", shapes.path_segments(waypoints), _PLANNED, 1.0)
 
 
-def draw_look(scene: Any, look: Look | None) -> None:
-    """The candidates with what each would see of the largest cluster, and the cluster."""
-    scene.remove_by_name("/candidates/all")
-    scene.remove_by_name("/cluster/all")
+def draw_decision(canvas: Canvas, decision: Decision) -> None:
+    """The candidates with what each would show of the largest cluster, and the cluster.
+
+    The one that was chosen has a star; where the scan stops, none has.
+    """
+    look = decision.look
     if look is None:
+        for name in ("/candidates/yaws", "/candidates/shares", "/cluster/all"):
+            canvas.remove(name)
         return
     share = look.h_cluster / look.cluster.entropy
-    scene.add_frame("/candidates/all", show_axes=False)
-    colours = _rgb("viridis", share / max(float(share.max()), 1e-9))
-    pointers = shapes.pointers(look.candidates, 1.0)
-    _lines(scene, "/candidates/all/yaws", pointers, colours, 3.0)
-    for k, pose in enumerate(look.candidates):
-        best = " \N{BLACK STAR}" if k == look.best else ""
-        scene.add_label(
-            f"/candidates/all/{k}", f"{k}: {share[k]:.0%}{best}", position=pose.position_m,
-            font_screen_scale=0.8,
-        )  # fmt: skip
-    scene.add_point_cloud(
-        "/cluster/all", look.cluster.voxels_m.astype(np.float32), _CLUSTER, point_size=0.05,
-        precision="float32",
-    )  # fmt: skip
+    colours = _rgb("viridis", share / max(float(share.max()), 1e-9), _TINTS)
+    canvas.lines("/candidates/yaws", shapes.pointers(look.candidates, 1.0), colours, 3.0)
+    chosen = look.best if decision.path is not None else None
+    told = [
+        (f"{k}: {share[k]:.0%}{' ★' if k == chosen else ''}", pose)
+        for k, pose in enumerate(look.candidates)
+    ]
+    canvas.labels("/candidates/shares", told, "top-left")
+    canvas.points("/cluster/all", look.cluster.voxels_m.astype(np.float32), _CLUSTER, 0.05)
 
 
 def _wxyz(rotation: Float64) -> Float64:
@@ -165,22 +155,11 @@ _IMAGE_WXYZ = _wxyz(transform_from_pose(Pose(0, 0, 0, 0.0, 0.0, -math.pi / 2))[:
 """A picture's right is the sonar's starboard and its top ahead."""
 
 
-def _lines(
-    scene: Any, name: str, segments: Float32, colours: Array | tuple[int, int, int], width: float
-) -> None:
-    """Line segments (N, 2, 3) in one colour, or one (N, 3) for each."""
-    if not len(segments):
-        scene.remove_by_name(name)
-        return
-    if not isinstance(colours, tuple):
-        colours = np.repeat(colours[:, None, :], 2, axis=1)
-    scene.add_line_segments(name, segments, colours, thickness=width, thickness_units="screen")
-
-
-def _rgb(name: str, share: Float32 | Float64) -> Array:
-    """Colours (N, 3) bytes of a matplotlib colour map."""
-    colours: Array = colormaps[name](np.clip(share, 0.0, 1.0), bytes=True)[:, :3]
-    return np.ascontiguousarray(colours)
+def _rgb(name: str, share: Float32 | Float64, tints: int) -> Array:
+    """Colours (N, 3) bytes of a matplotlib colour map, of so many different ones."""
+    table = np.array([colormaps[name](k / (tints - 1), bytes=True)[:3] for k in range(tints)])
+    levels = np.rint(np.asarray(share, np.float64).clip(0.0, 1.0) * (tints - 1)).astype(int)
+    return np.ascontiguousarray(table[levels], np.uint8)
 
 
 def _scan_rgb(number: int) -> tuple[int, int, int]:

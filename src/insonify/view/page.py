@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
-import errno
-import io
-import socket
 import threading
 import time
 from typing import Any
 
 import numpy as np
 
-from insonify.errors import OutputError
-from insonify.extras import optional
 from insonify.frames import world_from_sonar
 from insonify.mission.loop import Step
 from insonify.mission.run import Run
 from insonify.types import Float64, Ping
-from insonify.view import layers, shapes, words
-from insonify.view.guard import guarded
-from insonify.view.story import Story
+from insonify.view import dress, layers, shapes, words
+from insonify.view.canvas import Canvas
+from insonify.view.server import Server
+from insonify.view.story import MapPicture, Story
 
 _REST_S, _STEP_S = 0.05, 0.15
 """Between two drawings, and between two pings when playing."""
-_PORTS_TRIED, _IMAGE_WIDTH = 100, 560
-_NOTHING = (-1, -1, -1)
+_IMAGE_WIDTH = 560
+_NOTHING: tuple[int, int, int, MapPicture | None] = (-1, -1, -1, None)
 _LAYERS = {
     "occupied": ("occupied voxels", True),
     "elsewhere": ("occupied, outside", False),
@@ -41,32 +35,35 @@ _LAYERS = {
 
 
 class Page:
-    """A web server that shows a story, and follows it while it grows.
+    """Shows a story in the browser, and follows it while it grows.
 
     Other web pages that a browser has open cannot read it (`insonify.view.guard`).
     """
 
-    def __init__(self, story: Story, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(
+        self,
+        story: Story,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        server: Server | None = None,
+    ) -> None:
         """Start serving.
 
         Args:
             story: What to show.
             host: Address to listen at; 0.0.0.0 is every one.
             port: The first free one from here on.
+            server: Instead of a new one at that address.
 
         Raises:
             MissingExtraError: The package viser is not installed.
             OutputError: There is no such address here, or no free port.
         """
-        viser = optional("viser", "view", "the view in the browser")
-        port = _free_port(host, port)
-        with (
-            contextlib.redirect_stdout(io.StringIO()),  # where it announces itself
-            guarded(host),
-        ):
-            self._server = viser.ViserServer(host=host, port=port, label="insonify", verbose=False)
-        atexit.unregister(self._server.stop)  # which says so on stdout
-        self.url = f"http://{host}:{self._server.get_port()}"
+        self._server = Server(host, port) if server is None else server
+        self._scene = self._server.viser.scene
+        self._canvas = Canvas(self._scene)
+        self.url = self._server.url
         self._story = story
         self._wake = threading.Event()
         self._closed = threading.Event()
@@ -87,34 +84,34 @@ class Page:
         self._closed.set()
         self._wake.set()
         self._thread.join()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._server.close()
 
     def _build(self) -> None:
-        gui, scene = self._server.gui, self._server.scene
-        scene.set_up_direction("+z")
-        layers.light(scene)
-        gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
-        gui.main_panel.dock_right()
+        gui = self._server.viser.gui
+        layers.light(self._scene)
         self._slider = gui.add_slider("ping", min=0, max=1, step=1, initial_value=0, visible=False)
         self._play = gui.add_checkbox("play", initial_value=False, visible=False)
-        self._text = gui.add_html("")
+        self._text = gui.add_html(words.waiting(self._story.title))
+        gui.add_html(words.legends())
         self._image = gui.add_html("", visible=False)
         self._boxes, self._nodes = {}, {}
         with gui.add_folder("Layers"):
             for name, (label, shown) in _LAYERS.items():
-                self._nodes[name] = scene.add_frame(f"/{name}", show_axes=False, visible=shown)
+                node = self._scene.add_frame(f"/{name}", show_axes=False, visible=shown)
+                self._nodes[name] = node
                 self._boxes[name] = gui.add_checkbox(label, initial_value=shown)
                 self._boxes[name].on_update(self._toggled(name))
-            gui.add_html(
-                words.colour_bar("viridis", "0.5", "1", "probability of an occupied voxel")
-                + words.colour_bar("magma", "0.5", "1", "entropy of an undecided voxel, bits")
-            )
         self._decision = gui.add_folder("Decision", visible=False)
         with self._decision:
             self._candidates = gui.add_html("")
         self._slider.on_update(lambda event: self._wake.set())
         self._play.on_update(lambda event: self._wake.set())
+        for label, key, act in (
+            ("previous ping", dress.BACK, lambda event: self._step(-1)),
+            ("next ping", dress.ON, lambda event: self._step(1)),
+            ("play or pause", "space", lambda event: self._toggle_play()),
+        ):
+            gui.add_command(label, hotkey=key).on_trigger(act)
 
     def _toggled(self, name: str) -> Any:
         def toggle(event: object) -> None:
@@ -123,6 +120,21 @@ class Page:
             self._wake.set()
 
         return toggle
+
+    def _step(self, by: int) -> None:
+        """Go some pings on, as far as there are any."""
+        if self._slider.visible:
+            wanted = int(self._slider.value) + by
+            self._slider.value = min(max(wanted, self._slider.min), self._slider.max)
+            self._wake.set()
+
+    def _toggle_play(self) -> None:
+        """Play, from the start if the end is reached; or pause."""
+        if self._slider.visible:
+            if not self._play.value and self._slider.value == self._slider.max:
+                self._slider.value = self._slider.min
+            self._play.value = not self._play.value
+            self._wake.set()
 
     def _run(self) -> None:
         """Draw what is asked for last, for as long as the page is open."""
@@ -133,7 +145,7 @@ class Page:
                 return
             if not woken:
                 self._advance()
-            with self._server.atomic():
+            with self._server.viser.atomic():
                 self._draw()
             time.sleep(_REST_S)
 
@@ -149,7 +161,9 @@ class Page:
         self._draw_world()
         self._grow(count)
         number = int(self._slider.value) if count else 0
-        state = (number, count, len(story.decisions) + bool(story.end))
+        found = story.maps.at(number)
+        told = len(story.decisions) + bool(story.end)
+        state = (number, count, told, None if found is None else found[1])
         if state == self._shown:
             return
         self._shown = state
@@ -175,10 +189,10 @@ class Page:
         story = self._story
         if story.world and not self._world_drawn:
             self._world_drawn = True
-            layers.draw_world(self._server.scene, story.world)
+            layers.draw_world(self._scene, story.world)
         if not self._camera_set and (story.region is not None or story.moments):
             self._camera_set = True
-            camera = self._server.initial_camera
+            camera = self._server.viser.initial_camera
             camera.position, camera.look_at = shapes.overview(*self._extent())
 
     def _extent(self) -> tuple[Float64, Float64]:
@@ -212,50 +226,34 @@ class Page:
         found = self._story.maps.at(number)
         if found is None:
             return
-        scene, picture = self._server.scene, found[1]
+        picture = found[1]
         if self._boxes["occupied"].value:
-            layers.draw_cubes(scene, "/occupied/cubes", picture.occupied)
+            layers.draw_cubes(self._canvas, "/occupied/cubes", picture.occupied)
         if self._boxes["elsewhere"].value:
-            layers.draw_cubes(scene, "/elsewhere/cubes", picture.elsewhere)
+            layers.draw_cubes(self._canvas, "/elsewhere/cubes", picture.elsewhere)
         if self._boxes["undecided"].value:
-            layers.draw_entropy(scene, picture.undecided)
+            layers.draw_entropy(self._canvas, picture.undecided)
 
     def _draw_ping(self, number: int) -> None:
         story = self._story
         kept = story.images.at(number)
         assert kept is not None
         taken, grey = kept
-        ping = Ping(grey.astype(np.float32) / 255.0, story.moments[taken - 1].geometry)
+        geometry = story.moments[taken - 1].geometry
+        ping = Ping(grey.astype(np.float32) / 255.0, geometry)
         picture, extent = shapes.fan_picture(ping, _IMAGE_WIDTH)
         note = "" if taken == number else f"<br>image of ping {taken}, the last one kept"
-        self._image.content = words.image(picture, note)
+        self._image.content = words.image(picture, geometry, extent, note)
         self._image.visible = True
-        layers.draw_sonar(self._server.scene, story.moments[number - 1], picture, extent)
-        layers.draw_paths(self._server.scene, story.moments[:number])
+        layers.draw_sonar(self._canvas, story.moments[number - 1], picture, extent)
+        layers.draw_paths(self._canvas, story.moments[:number])
 
     def _draw_decision(self, number: int) -> None:
         decision = self._story.decision_at(number)
         if decision is None:
             return
         waypoints = decision.path.waypoints if decision.path is not None else ()
-        layers.draw_plan(self._server.scene, waypoints)
-        layers.draw_look(self._server.scene, decision.look)
+        layers.draw_plan(self._canvas, waypoints)
+        layers.draw_decision(self._canvas, decision)
         self._decision.visible = decision.look is not None or decision.stop is not None
         self._candidates.content = words.reasons(decision)
-
-
-def _free_port(host: str, port: int) -> int:
-    """The first port from here on that nobody listens at."""
-    for candidate in range(port, min(port + _PORTS_TRIED, 65536)):
-        try:
-            with socket.create_server((host, candidate)):
-                return candidate
-        except OSError as err:
-            if err.errno not in (errno.EADDRINUSE, errno.EACCES):
-                raise OutputError(
-                    f"the view cannot be served at {host}:{candidate} "
-                    f"({err.strerror or err}); give another --host"
-                ) from err
-    raise OutputError(
-        f"the view cannot be served at {host}: no free port from {port} on; give another --port"
-    )

@@ -85,4 +85,4 @@ def overview(low_m: Float64, high_m: Float64) -> tuple[Float64, Float64]:
     size = max(1.0, float(np.linalg.norm(high_m - low_m)))
     lift = math.radians(35.0)
     way = np.array([0.35, -math.cos(lift), math.sin(lift)])
-    return middle + 0.8 * size * way, middle
+    return middle + size * way, middle

@@ -96,7 +96,7 @@ def _scan_story(folder: Path) -> Told:
     result = account.result
     story = Story(f"{result.scenario}, {result.planner} planner, seed {result.seed}")
     story.world, story.region = account.solids, account.region
-    story.end = result.stop_reason.sentence
+    story.end = result.why_stopped or result.stop_reason.sentence
     story.decisions = [(record.pings, record.decision) for record in account.decisions]
     return Told(
         story,
@@ -127,12 +127,13 @@ def _tell_scan(
     story.maps = Thinned(stride=1 + recording.count // MOST_PICTURES)
     before = 1
     for number, (scan, posed) in enumerate(_by_scan(account, recording), 1):
+        story.add_ping(posed, scan)
+        story.changed()  # its image can be looked at while it is mapped
         if mapper is not None and posed.pose is not None:
             if scan > before:
                 mapper.finish_scan()
             mapper.integrate(posed.ping, posed.pose)
             before = scan
-        story.add_ping(posed, scan)
         if mapper is not None and story.maps.wants(number) and number < recording.count:
             story.add_map(mapper.voxels, account.region)
         story.changed()
