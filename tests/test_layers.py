@@ -39,6 +39,8 @@ LAYERS = [
     "report",
     "results",
     "view",
+    "doctor",
+    "live",
     "warmup",
     "cli",
     "__main__",
