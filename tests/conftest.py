@@ -141,3 +141,21 @@ def run(
     yield command
     warnings.showwarning = told
     signal.signal(signal.SIGINT, heard)
+
+
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>"
+    "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>"
+    "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer Address='localhost'/></Peers>"
+    "</Discovery></Domain></CycloneDDS>"
+)
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """A bus of a test's own, on the loopback interface alone; its number."""
+    pytest.importorskip("cyclonedds")
+    number = 90 + os.getpid() % 100
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    return number

@@ -62,8 +62,16 @@ SMALL_FLIGHT = (
 )
 """The same of what a vehicle flies."""
 
-NO_SETTINGS = ("mapping.factory", "sonar.toml", "poses.csv")
-"""Modules and files whose names begin like a setting's."""
+NO_SETTINGS = (
+    "mapping.factory",
+    "sonar.toml",
+    "sonar.ping",
+    "poses.csv",
+    "train.txt",
+    "val.txt",
+    "test.txt",
+)
+"""Modules, functions and files whose names begin like a setting's."""
 
 OWNED = ("holoocean_turtle.npz",)
 """Recordings of others that the project may not hand on; who has them has them run."""

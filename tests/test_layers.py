@@ -40,6 +40,8 @@ LAYERS = [
     "report",
     "results",
     "view",
+    "doctor",
+    "live",
     "warmup",
     "cli",
     "__main__",

@@ -363,6 +363,7 @@ class StopReason(StrEnum):
     LOST = "lost"
     IMU_FAILED = "imu_failed"
     SILENT = "silent"
+    UNANSWERED = "unanswered"
     INTERRUPTED = "interrupted"
 
     @property
@@ -389,5 +390,6 @@ _SENTENCES = {
     StopReason.LOST: "The vehicle no longer knows where it is: its position is too uncertain.",
     StopReason.IMU_FAILED: "The IMU gives no numbers, and the vehicle cannot navigate without it.",
     StopReason.SILENT: "The sonar has fallen silent.",
+    StopReason.UNANSWERED: "No next path came over the bus.",
     StopReason.INTERRUPTED: "The user interrupted the mission.",
 }

@@ -27,6 +27,7 @@ from insonify.cli import scans
 from insonify.cli import comparisons
 from insonify.cli import campaigns
 from insonify.cli import recordings
+from insonify.cli import live
 from insonify.cli import checks
 from insonify.cli import views
 from insonify.cli import explanations
@@ -40,6 +41,7 @@ from insonify.cli import runs
 from insonify.cli import listings
 from insonify.cli import configs
 from insonify.cli import warming
+from insonify.cli import doctoring
 
 # isort: on
 
@@ -50,9 +52,11 @@ __all__ = [
     "comparisons",
     "configs",
     "datasets",
+    "doctoring",
     "explanations",
     "exports",
     "listings",
+    "live",
     "main",
     "plans",
     "recordings",

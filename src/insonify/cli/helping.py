@@ -12,10 +12,10 @@ PANELS = {
     "Sonar": "sonar sonars range_m model renderer truth camera",
     "Mapping": "mapper voxel threshold region",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
-    "sonar_topic",
-    "Vehicle": "clearance speed vehicle current navigation real_time",
-    "Output": "out force as_json live mcap picture every quiet port host workers scheduler prune "
-    "yes formats",
+    "sonar_topic rate wait idle",
+    "Vehicle": "plan clearance speed radius vehicle current navigation real_time live_bus",
+    "Output": "out force as_json live foxglove mcap picture every quiet port host workers "
+    "scheduler prune yes formats",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
 
@@ -52,6 +52,7 @@ DEFAULTS = {
     "dataset": {"renderer": "embree", "model": "cerqueira", "seed": "0"},
     "fly": {"sonars": "flatfish", "vehicle": "bluerov2", "navigation": "dvl", "seed": "0"},
     "map": {"mapper": "bayes"},
+    "live": {"mapper": "bayes", "out": "insonify-runs/live"},
 }
 """What holds unless an option says otherwise; the settings have it, which are not yet loaded."""
 
@@ -60,6 +61,7 @@ EXAMPLES = {
         "insonify scan tetrapod",
         "insonify scan wreck --mapper carving --planner rosette --seed 3",
         "insonify scan tetrapod --vehicle bluerov2 --navigation dvl --out dive",
+        "insonify scan tetrapod --live-bus",
     ),
     "compare": (
         "insonify compare tetrapod wreck",
@@ -86,6 +88,12 @@ EXAMPLES = {
         "insonify map sonar.aris --poses track.tum --voxel 0.05 --out map",
         "insonify map dive.mcap --mapper carving --voxel 0.1 --out map",
     ),
+    "live": (
+        "insonify live --voxel 0.1 --out dive",
+        'insonify live --plan --region "-5 -5 -20 5 5 -16" --out dive',
+        "insonify live --from dive.mcap --rate 1 --voxel 0.1",
+    ),
+    "play": ("insonify play dive.mcap", "insonify play sonar.aris --poses track.tum --rate 2"),
     "info": ("insonify info dive.mcap", "insonify info sonar.aris --picture ping.png"),
     "view": ("insonify view insonify-runs/tetrapod-entropy-seed0", "insonify view map.zarr"),
     "plan": (

@@ -94,7 +94,7 @@ def plan(
     begin("reading the map")
     told = _pose(from_)
     place = datum_from_text(datum) if datum is not None else None
-    entropy = _entropy(settings)
+    entropy = entropy_settings(settings)
     file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
     mapper = load_mapper(map_)
     device = _device(file, sonar)
@@ -197,7 +197,12 @@ def _pose(text: str) -> Pose:
     return Pose(x, y, z, yaw_rad=math.radians(yaw))
 
 
-def _entropy(settings: list[str] | None) -> EntropySettings:
+def entropy_settings(settings: list[str] | None) -> EntropySettings:
+    """The entropy planner's settings, of those given one by one.
+
+    Raises:
+        ConfigError: One is not of the planner's, or makes no sense.
+    """
     from insonify.config.layers import overlaid
     from insonify.config.settings import validated
     from insonify.planning.active import EntropySettings

@@ -142,7 +142,7 @@ def map_(
     if as_json:
         say_json(result.to_json())
     else:
-        say_listing(["what", "value"], _result_rows(result))
+        say_listing(["what", "value"], map_rows(result))
     print_report(place.target)
     if interrupted():
         tell("insonify: interrupted; what was mapped until then is kept")
@@ -234,7 +234,8 @@ def _progress() -> Iterator[Watch]:
         yield watch
 
 
-def _result_rows(result: MapResult) -> list[list[str]]:
+def map_rows(result: MapResult) -> list[list[str]]:
+    """A map's figures for people."""
     low, high = ([f"{c:.2f}" for c in corner] for corner in result.region_m)
     region = result.region
     share = region["in_view"] / max(1, region["voxels"])

@@ -80,6 +80,10 @@ def scan(
     live: Annotated[
         bool, typer.Option("--live", help="Show the scan in the browser while it runs.")
     ] = False,
+    live_bus: Annotated[
+        bool,
+        typer.Option("--live-bus", help="Ping on the robot's bus, and scan where `live` says."),
+    ] = False,
     settings: SetOption = None,
     config: ConfigOption = None,
     out: OutOption = None,
@@ -101,7 +105,38 @@ def scan(
     full = configure(scenario, config, settings, chosen)
     check_vehicle(full, current=current, navigation=navigation, real_time=real_time)
     pace = wall_clock() if real_time else lambda time_s: None
+    if live_bus:
+        _scan_on_bus(full, out, force=force, as_json=as_json)
+        return
     _scan(full, out, force=force, live=live, as_json=as_json, pace=pace)
+
+
+def _scan_on_bus(config: Config, out: Path | None, *, force: bool, as_json: bool) -> None:
+    """Scan as a vehicle on the bus, which pings in real time and flies what comes."""
+    from insonify.io.folders import unused_folder
+    from insonify.live.bus import Bus
+    from insonify.live.robot import ScanRobot
+    from insonify.mission.setup import World
+    from insonify.results.scan import run_scan_by
+
+    area = World(config).area
+    name = file_name(f"{config.scenario}-bus-seed{config.seed}")
+    folder = out or unused_folder(Path("insonify-runs") / name)
+    with Bus() as bus, interruptible() as interrupted, progress("setting up") as bar:
+        robot = ScanRobot(bus, area, interrupted)
+        tell(f"insonify: pinging in DDS domain {bus.domain} once somebody listens", flush=True)
+        robot.await_listener()
+        result, target = run_scan_by(
+            robot, config, folder, force=force, watch=_each(steps_on(bar), robot.watch),
+            should_stop=interrupted, pace=robot.pace,
+        )  # fmt: skip
+    if as_json:
+        say_json(result.to_json())
+    else:
+        print_result(result)
+    print_report(target)
+    if interrupted():
+        raise typer.Exit(EXIT_INTERRUPTED)
 
 
 def _scan(

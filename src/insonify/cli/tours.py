@@ -44,7 +44,9 @@ from insonify.names import file_name
 if TYPE_CHECKING:
     from insonify.cli.progress import Bar
     from insonify.imaging.tour import Tour, TourPing
+    from insonify.live.robot import TourRobot
     from insonify.results.tour import TourWriter
+    from insonify.scene import Scene
     from insonify.types import StopReason
     from insonify.vehicle.craft import Craft
 
@@ -71,6 +73,12 @@ def fly(
     ] = None,
     range_m: RangeOption = None,
     seed: Annotated[int | None, typer.Option(help="Seed of sensors and images.")] = None,
+    live: Annotated[
+        bool,
+        typer.Option(
+            "--live", help="On the robot's bus: ping there, then fly the paths of `live`."
+        ),
+    ] = False,
     search: SearchOption = None,
     materials: MaterialsOption = None,
     real_time: RealTimeOption = False,
@@ -93,6 +101,15 @@ def fly(
         waypoints=_waypoints(waypoints, path),
     ) | world_table(search, materials)
     full = tour_config([*file_layers(config), chosen, *single_layers(settings)], range_m)
+    if live:
+        from insonify.live.bus import Bus
+        from insonify.live.robot import TourRobot
+
+        frequency_hz = {one.name: 1e3 * one.sonar.frequency_khz for one in full.sonars}
+        with Bus() as bus:
+            robot = TourRobot(bus, full.vehicle, frequency_hz)
+            _fly(full, out, force=force, mcap=mcap, as_json=as_json, robot=robot, pace=robot.pace)
+        return
     pace = wall_clock() if real_time else lambda time_s: None
     _fly(full, out, force=force, mcap=mcap, as_json=as_json, pace=pace)
 
@@ -105,8 +122,8 @@ def _fly(
     mcap: bool,
     as_json: bool,
     pace: Callable[[float], None],
+    robot: TourRobot | None = None,
 ) -> None:
-    from insonify.imaging.tour import tour
     from insonify.io.folders import result_folder, unused_folder
     from insonify.results.tour import TourWriter
 
@@ -118,7 +135,8 @@ def _fly(
         TourWriter(config, place.scratch) as writer,
         progress("flying") as bar,
     ):
-        craft, reason = _flown(tour(config, scene, pace), writer, bar, interrupted)
+        records = _records(config, scene, pace, robot, interrupted)
+        craft, reason = _flown(records, writer, bar, interrupted)
         bar.show(name="writing")
         result = writer.finish(craft, reason)
         if mcap:
@@ -134,6 +152,31 @@ def _fly(
     if interrupted():
         tell("insonify: interrupted; what was heard until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _records(
+    config: Tour,
+    scene: Scene,
+    pace: Callable[[float], None],
+    robot: TourRobot | None,
+    interrupted: Callable[[], bool],
+) -> Iterator[TourPing | Craft | StopReason]:
+    """The tour; of a robot, published as it is flown."""
+    from insonify.imaging.tour import TourPing, tour
+    from insonify.types import StopReason
+
+    if robot is None:
+        yield from tour(config, scene, pace)
+        return
+    sonar = f"/{config.sonars[0].name}/image"
+    tell(f"insonify: flying once somebody listens to {sonar}", flush=True)
+    robot.orders.await_listener(robot.topics, sonar, interrupted)
+    for record in tour(config, scene, pace, robot.order):
+        if isinstance(record, TourPing):
+            robot.publish(record)
+        elif not isinstance(record, StopReason):
+            robot.craft = record
+        yield record
 
 
 def _flown(

@@ -176,8 +176,15 @@ class _Mounted:
         return TourPing(self.mounted.name, number, posed)
 
 
+Order = Callable[[Craft], tuple[Pose, ...] | StopReason | None]
+"""What follows when a route is flown: another, the end, or nothing yet."""
+
+
 def tour(
-    config: Tour, scene: Scene, pace: Callable[[float], None] = lambda time_s: None
+    config: Tour,
+    scene: Scene,
+    pace: Callable[[float], None] = lambda time_s: None,
+    order: Order = lambda craft: StopReason.PLAN_FLOWN,
 ) -> Iterator[TourPing | Craft | StopReason]:
     """Fly the waypoints; all sonars ping all the way.
 
@@ -185,6 +192,8 @@ def tour(
         config: What to fly.
         scene: Its world.
         pace: Called with the time of every tick; it may wait.
+        order: Asked at every tick when the waypoints are flown; until it has an answer the vehicle
+            holds its place.
 
     Yields:
         First the vehicle, then each ping as it comes, last why the tour ended.
@@ -198,7 +207,15 @@ def tour(
     yield craft
     craft.follower.follow(route[1:])
     trouble.allow(craft, route)
-    while not craft.follower.finished:
+    while True:
+        if craft.follower.finished:
+            following = order(craft)
+            if isinstance(following, StopReason):
+                yield following
+                return
+            if following is not None:
+                craft.follower.follow(following)
+            trouble.allow(craft, following or ())
         craft.tick()
         pace(craft.time_s)
         craft.track.readings.clear()
@@ -212,7 +229,6 @@ def tour(
             ping = sonar.listen(scene, craft)
             if ping is not None:
                 yield ping
-    yield StopReason.PLAN_FLOWN
 
 
 def turns_of(pings: Iterable[TourPing], mounted: MountedSonar) -> Iterator[list[PosedPing]]:

@@ -31,6 +31,8 @@ PARTS = (
     "truth.npz",
     "trajectory.csv",
     "recording.mcap",
+    "recordings",
+    "live.json",
     "foxglove.json",
     "report.html",
 )

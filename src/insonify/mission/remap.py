@@ -9,7 +9,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,9 @@ class Remap:
         settings: How it was mapped.
         mapper: The mapper, with its map.
         sources: One entry a recording: file, format, pings, mapped and without a pose.
-        poses: The vehicle's poses at the pings that were mapped.
+        poses: The vehicle's poses at the pings that were mapped.  Whoever maps for long may thin
+            them, but for the last.
+        pings: How many were mapped, and ``path_m`` how far the vehicle went from one to the next.
         fans: The fan geometries, in order of appearance.
         keyframes: Some pings, for pictures, with the name of their recording and their number.
         region: Where entropy is counted and shown.
@@ -55,6 +56,8 @@ class Remap:
     mapper: Mapper
     sources: list[dict[str, Any]] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
+    pings: int = 0
+    path_m: float = 0.0
     fans: list[FanGeometry] = field(default_factory=list)
     keyframes: list[tuple[str, int, PosedPing]] = field(default_factory=list)
     region: Box = Box((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -64,13 +67,12 @@ class Remap:
     def result(self) -> MapResult:
         """Its figures."""
         window = self.mapper.voxels.window(self.region)
-        legs = pairwise(self.poses)
         region = self.region.moved(self.mapper.voxels.origin_m)
         return MapResult(
             mapper=self.mapper.name,
             recordings=tuple(self.sources),
-            pings=len(self.poses),
-            path_m=round(sum(math.dist(a.position_m, b.position_m) for a, b in legs), 6),
+            pings=self.pings,
+            path_m=round(self.path_m, 6),
             brightest_pixel=round(self.brightest, 6),
             fans=tuple(describe_fan(fan) for fan in self.fans),
             mapping=self.settings.model_dump(),
@@ -123,9 +125,19 @@ def map_recordings(
         remap.mapper.finish_scan()
         if should_stop():
             break
+    settle_region(remap, region)
+    return remap
+
+
+def settle_region(remap: Remap, region: Box | None) -> None:
+    """Say where a map's entropy is counted, by default around what is occupied.
+
+    Raises:
+        GeometryError: The region is too large to show.
+    """
     if not (remap.mapper.voxels.log_odds > 0.0).any():
         _warn_of_nothing(remap)
-    voxels = mapper.voxels
+    voxels, settings = remap.mapper.voxels, remap.settings
     remap.region = (
         voxels.around_occupied() if region is None else region.relative_to(voxels.origin_m)
     )
@@ -136,7 +148,6 @@ def map_recordings(
             f"the region of {size} m has {count:.3g} voxels of {settings.voxel_m:g} m, too many "
             "to count its entropy; give a smaller one (--region) or larger voxels (--voxel)"
         )
-    return remap
 
 
 def echo_threshold(recordings: Sequence[Recording]) -> int:
@@ -176,28 +187,48 @@ def _origin(first: Pose, block_m: float) -> tuple[float, float, float]:
     return x, y, z
 
 
+def map_ping(remap: Remap, told: PosedPing, source: str) -> PosedPing:
+    """Map a ping if it has a pose; it, in the map's own frame.
+
+    Args:
+        remap: The map.
+        told: The ping, in the world.
+        source: Where it is from, for messages.
+
+    Raises:
+        MemoryLimitError: The map would not fit into the memory that is free.
+        GeometryError: The ping lies where no map reaches that holds what is mapped.
+    """
+    since = time.perf_counter()
+    voxels = remap.mapper.voxels
+    if told.pose is not None and not voxels.block_count:
+        voxels.origin_m = _origin(told.pose, voxels.block_m)
+    posed = _moved(told, voxels.origin_m)
+    if posed.pose is not None:
+        _check_reach(remap, source, posed.pose)
+        _check_memory(remap, posed.ping.geometry)
+        remap.mapper.integrate(posed.ping, posed.pose)
+        if remap.poses:
+            remap.path_m += math.dist(remap.poses[-1].position_m, posed.pose.position_m)
+        remap.poses.append(posed.pose)
+        remap.pings += 1
+        remap.brightest = max(remap.brightest, brightest(posed.ping))
+    remap.seconds["mapping"] += time.perf_counter() - since
+    return posed
+
+
 def _map_one(
     remap: Remap, recording: Recording, watch: Watch, should_stop: Callable[[], bool]
 ) -> None:
     kept = {(2 * k + 1) * recording.count // (2 * KEPT_PINGS) for k in range(KEPT_PINGS)}
     pings = mapped = 0
     for told in _timed(remap, recording):
-        since = time.perf_counter()
-        voxels = remap.mapper.voxels
-        if told.pose is not None and not voxels.block_count:
-            voxels.origin_m = _origin(told.pose, voxels.block_m)
-        posed = _moved(told, voxels.origin_m)
         pings += 1
+        posed = map_ping(remap, told, str(recording.path))
         if posed.pose is not None:
-            _check_reach(remap, recording, posed.pose)
-            _check_memory(remap, posed.ping.geometry)
-            remap.mapper.integrate(posed.ping, posed.pose)
-            remap.poses.append(posed.pose)
-            remap.brightest = max(remap.brightest, brightest(posed.ping))
             mapped += 1
             if pings - 1 in kept:
                 remap.keyframes.append((recording.path.name, pings, posed))
-        remap.seconds["mapping"] += time.perf_counter() - since
         watch(remap, recording, pings, posed)
         if should_stop():
             break
@@ -287,7 +318,7 @@ def _no_pose(recording: Recording, pings: int) -> str:
     )
 
 
-def _check_reach(remap: Remap, recording: Recording, pose: Pose) -> None:
+def _check_reach(remap: Remap, source: str, pose: Pose) -> None:
     """Refuse a pose so far from the map's origin that no map holds both.
 
     Raises:
@@ -297,7 +328,7 @@ def _check_reach(remap: Remap, recording: Recording, pose: Pose) -> None:
     away_m = max(map(abs, pose.position_m))
     if away_m > farthest_m:
         raise GeometryError(
-            f"{recording.path}: a ping lies {away_m / 1e3:.6g} km from where the map begins, and a "
+            f"{source}: a ping lies {away_m / 1e3:.6g} km from where the map begins, and a "
             f"map of {remap.settings.voxel_m:g} m voxels reaches {farthest_m / 1e3:.4g} km; map "
             "places so far apart one by one, and check the poses"
         )

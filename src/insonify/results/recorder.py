@@ -6,10 +6,11 @@ of its own pings ten times a second.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,7 +23,8 @@ from insonify.mission.run import Flight, Run
 from insonify.results.files import RECORDING
 from insonify.results.replay import ping_messages
 from insonify.types import Pose, PosedPing
-from insonify.vehicle.craft import Craft, ImuReading
+from insonify.vehicle.craft import Craft, DvlReading, ImuReading
+from insonify.vehicle.instruments import SensorSettings
 
 SONAR, STATES = "sonar", "/sonar/state"
 ESTIMATE, TRUTH = "/odometry", "/ground_truth/odometry"
@@ -42,14 +44,26 @@ def recording(folder: Path) -> Iterator[Callable[[Run, Step], None]]:
         yield ScanRecorder(writer).watch
 
 
+class Writer(Protocol):
+    """Where a recorder's messages go."""
+
+    def write(self, topic: str, message: Any, time_ns: int) -> None:
+        """Take a message."""
+
+
 class ScanRecorder:
     """Writes the steps of one run."""
 
-    def __init__(self, writer: McapWriter) -> None:
-        """Record into an open file."""
+    def __init__(self, writer: Writer) -> None:
+        """Record into an open file, or onto the bus."""
         self._writer = writer
         self._now_ns = 0
         self._mount: Pose | None = None
+
+    @property
+    def stamp_ns(self) -> int:
+        """Of the last ping."""
+        return self._now_ns
 
     def watch(self, run: Run, step: Step) -> None:
         """Record a step."""
@@ -87,28 +101,21 @@ class ScanRecorder:
             self._write(ESTIMATE, messages.odometry(pose, now, "odom"))
             self._write(TRUTH, messages.odometry(truth, now, "map"))
         else:
-            self._write(ESTIMATE, _believed(craft, pose, now))
+            self._write(ESTIMATE, believed_odometry(craft, pose, now))
             moving = craft.true_state[7:13]
             self._write(TRUTH, messages.odometry(truth, now, "map", moving))
         frequency_hz = 1e3 * run.config.sonar.frequency_khz
         words = messages.words_from_generator(run.noise)
         told = ping_messages(SONAR, posed, words, now, frequency_hz, SOUND_SPEED_MPS)
+        told[f"/{SONAR}/polar"] = messages.polar_picture(ping, now, SONAR)
         for topic, message in told.items():
             self._write(topic, message)
 
     def _record_readings(self, flight: Flight) -> None:
         """Record what the sensors have measured since the last step, at its own times."""
         sensors = flight.voyage.settings.sensors
-        for reading in flight.track.readings:
-            if isinstance(reading, ImuReading):
-                for time_s, values in zip(reading.times_s.tolist(), reading.values, strict=True):
-                    now = round(time_s * 1e9)
-                    message = messages.imu(values, now, "base_link", sensors.imu)
-                    self._writer.write(IMU, message, now)
-            else:
-                now = round(reading.time_s * 1e9)
-                message = messages.dvl(reading, now, "dvl", sensors.dvl, SOUND_SPEED_MPS)
-                self._writer.write(DVL, message, now)
+        for topic, message, now in reading_messages(flight.track.readings, sensors):
+            self._writer.write(topic, message, now)
 
     def _record_map(self, run: Run) -> None:
         voxels = run.mapper.voxels
@@ -121,7 +128,21 @@ class ScanRecorder:
         self._writer.write(topic, message, self._now_ns)
 
 
-def _believed(craft: Craft, pose: Pose, time_ns: int) -> object:
+def reading_messages(
+    readings: Iterable[ImuReading | DvlReading], sensors: SensorSettings
+) -> Iterator[tuple[str, Any, int]]:
+    """Topic, message and stamp of what sensors have measured."""
+    for reading in readings:
+        if isinstance(reading, ImuReading):
+            for time_s, values in zip(reading.times_s.tolist(), reading.values, strict=True):
+                now = round(time_s * 1e9)
+                yield IMU, messages.imu(values, now, "base_link", sensors.imu), now
+        else:
+            now = round(reading.time_s * 1e9)
+            yield DVL, messages.dvl(reading, now, "dvl", sensors.dvl, SOUND_SPEED_MPS), now
+
+
+def believed_odometry(craft: Craft, pose: Pose, time_ns: int) -> object:
     """The odometry of what a vehicle believes of itself."""
     motion = craft.motion()
     turn = motion.turn

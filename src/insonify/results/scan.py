@@ -23,7 +23,7 @@ from insonify.mission.loop import Step
 from insonify.mission.result import ScanResult
 from insonify.mission.run import KEYFRAMES, Remembered, Run, execute
 from insonify.mission.setup import Config
-from insonify.planning.decision import DecisionRecord
+from insonify.planning.decision import DecisionRecord, Planner
 from insonify.results.files import CONFIG, RECORDING, load_result, save_result
 from insonify.results.mappers import save_mapper
 from insonify.types import Box, PosedPing, ScanPath, StopReason
@@ -130,6 +130,34 @@ def _kept_if_stopped(place: ResultFolder) -> Iterator[None]:
     except BaseException:
         place.kept = True
         raise
+
+
+def run_scan_by(
+    planner: Planner,
+    config: Config,
+    target: Path,
+    *,
+    force: bool,
+    watch: Callable[[Run, Step], None],
+    should_stop: Callable[[], bool],
+    pace: Callable[[float], None],
+) -> tuple[ScanResult, Path]:
+    """`run_scan` with a planner that decides instead of the config's, and is not asked twice.
+
+    What a kill breaks off is not gone on with.
+    """
+    from insonify.results.recorder import recording
+
+    with result_folder(target, force=force) as place:
+        with recording(place.scratch) as record:
+
+            def each(run: Run, step: Step) -> None:
+                watch(run, step)
+                record(run, step)
+
+            run = execute(config, planner, watch=each, should_stop=should_stop, pace=pace)
+        result = save_scan(run, place.scratch)
+    return result, place.target
 
 
 def _recorded_bytes(folder: Path) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from insonify.errors import RecordingError
 from insonify.io.recordings.aris import MAGIC as ARIS_MAGIC
@@ -30,14 +31,26 @@ from insonify.io.recordings.recording import (
 from insonify.io.recordings.simulated import read_simulated
 from insonify.types import PosedPing
 
+if TYPE_CHECKING:
+    from insonify.io.recordings.ros.bags import Bag
+
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
-def _bag(path: Path, head: bytes, reading: Reading) -> Recording:
-    from insonify.io.recordings.ros.bags import open_bag
-    from insonify.io.recordings.ros.recording import read_bag
+def open_bag_at(path: Path) -> Bag | None:
+    """The bag at a path; None if it is a recording of another format.
 
-    return read_bag(open_bag(path, head), reading)
+    Raises:
+        RecordingError: It is missing, or cannot be read.
+        MissingExtraError: The packages for bags are not installed.
+    """
+    head = _head(path)
+    folder = head is None and (path / "metadata.yaml").is_file()
+    if not folder and (head is None or not head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))):
+        return None
+    from insonify.io.recordings.ros.bags import open_bag
+
+    return open_bag(path, head or b"")
 
 
 def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
@@ -47,11 +60,12 @@ def open_recording(path: Path, reading: Reading = Reading()) -> Recording:
         RecordingError: It is missing, of no known format, or damaged beyond reading.
         MissingExtraError: Its format needs packages that are not installed.
     """
+    bag = open_bag_at(path)
     head = _head(path)
-    if (head is None and (path / "metadata.yaml").is_file()) or (
-        head is not None and head.startswith((MCAP_MAGIC, ROS1_MAGIC, SQLITE_MAGIC))
-    ):
-        recording = _bag(path, head or b"", reading)
+    if bag is not None:
+        from insonify.io.recordings.ros.recording import read_bag
+
+        recording = read_bag(bag, reading)
     elif head is not None:
         recording = at_other_times(in_our_axes(_file(path, head, reading), reading), reading)
     else:

@@ -133,12 +133,15 @@ class PixelError(ValueError):
     """Pixels that cannot be meant as they stand."""
 
 
-def unit_pixels(pixels: Array, full_scale: float | None = None) -> Float32:
+def unit_pixels(
+    pixels: Array, full_scale: float | None = None, *, unknown: bool = False
+) -> Float32:
     """Pixels as float32 in [0, 1].
 
     Args:
         pixels: Whole numbers or floating ones.
         full_scale: The value that means 1; by default the largest of a whole number's type, and 1.
+        unknown: Whether a pixel that is not a number means that nothing is known of it.
 
     Raises:
         PixelError: A pixel is not a number, below 0, or above the full scale.
@@ -148,9 +151,9 @@ def unit_pixels(pixels: Array, full_scale: float | None = None) -> Float32:
         raise PixelError(f"its pixels are of type {pixels.dtype}, which is none of numbers")
     scale = full_scale or (float(np.iinfo(pixels.dtype).max) if whole else 1.0)
     scaled = pixels.astype(np.float32) / np.float32(scale)
-    if not np.isfinite(scaled).all():
+    if not (np.isfinite(scaled) | (np.isnan(scaled) & unknown)).all():
         raise PixelError("a pixel is not a number")
-    low, high = float(scaled.min(initial=0.0)), float(scaled.max(initial=0.0))
+    low, high = (float(f.reduce(scaled, axis=None, initial=0.0)) for f in (np.fmin, np.fmax))
     if low < -_ROUNDING:
         raise PixelError(
             f"its pixels go down to {low * scale:.6g}, and an echo is never below 0; if they are "

@@ -30,10 +30,15 @@ class PoseTrack:
 
     Attributes:
         max_gap_s: Two poses further apart say nothing of the time between them.
+        fastest_mps: Nor do two between which the vehicle would have been faster.
     """
 
     def __init__(
-        self, rows: Float64, max_gap_s: float | None = None, std: Float64 | None = None
+        self,
+        rows: Float64,
+        max_gap_s: float | None = None,
+        std: Float64 | None = None,
+        fastest_mps: float | None = None,
     ) -> None:
         """From rows (N, 8): seconds, x, y, z in metres, quaternion x, y, z, w.
 
@@ -43,6 +48,7 @@ class PoseTrack:
                 and then there is no pose either where the vehicle jumps, at five times its median
                 speed and 5 m/s at least.
             std: (N, 2) how far each may be off, see `Pose.std`.
+            fastest_mps: Where these are some of the poses, what all of them tell.
 
         Raises:
             ValueError: A number is not finite, a quaternion has no length, or time goes back.
@@ -64,7 +70,9 @@ class PoseTrack:
         steps = steps[steps > 0.0]
         own = max(_LEAST_GAP_S, _STEPS_A_GAP * float(np.median(steps))) if len(steps) else 0.0
         self.max_gap_s = own if max_gap_s is None else max_gap_s
-        self._fastest_mps = np.inf if max_gap_s is not None else _fastest(rows)
+        if fastest_mps is None:
+            fastest_mps = math.inf if max_gap_s is not None else _fastest(rows)
+        self.fastest_mps = fastest_mps
 
     @classmethod
     def of(cls, poses: Iterable[tuple[float, Pose]], max_gap_s: float | None = None) -> PoseTrack:
@@ -103,7 +111,7 @@ class PoseTrack:
             return None
         start, end = self._rows[after - 1], self._rows[after]
         gap_s = float(end[0] - start[0])
-        jump = float(np.linalg.norm(end[1:4] - start[1:4])) > self._fastest_mps * gap_s
+        jump = float(np.linalg.norm(end[1:4] - start[1:4])) > self.fastest_mps * gap_s
         if gap_s > self.max_gap_s or jump:
             return None
         share = float((time_s - start[0]) / (end[0] - start[0]))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+import math
+from collections import Counter, defaultdict
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,27 @@ from insonify.io.recordings.poses import PoseTrack, is_pose
 from insonify.types import Float64
 
 _DEEPEST = 64
+_ONCE_S = 5.0
 
 
 class FrameTree:
     """Frames, each with its parent and where it is in it: fixed, or over time."""
 
     def __init__(self, max_gap_s: float | None = None) -> None:
-        """An empty tree; its moving links bear gaps as `PoseTrack` does."""
+        """An empty tree; its moving links bear gaps as `PoseTrack` does.
+
+        Where ``bounds`` tells a link's ``max_gap_s`` and ``fastest_mps``, those hold.  A link that
+        is told of a time more than ``window_s`` before the last has had its clock set back, and
+        begins anew.
+        """
         self._max_gap_s = max_gap_s
         self._fixed: dict[str, tuple[str, Float64]] = {}
         self._rows: dict[str, list[list[float]]] = defaultdict(list)
         self._parents: dict[str, str] = {}
         self._tracks: dict[str, PoseTrack] = {}
+        self._told: Counter[str] = Counter()
+        self.bounds: dict[str, tuple[float, float]] = {}
+        self.window_s = math.inf
 
     def add(self, message: Any, fixed: bool) -> None:
         """Take the transforms of a TFMessage; those of /tf_static are ``fixed``.
@@ -42,7 +52,10 @@ class FrameTree:
                 turn[:3, 3] = row[1:4]
                 self._fixed[child] = (parent, turn)
             else:
+                if self._rows[child] and row[0] < self._rows[child][-1][0] - self.window_s:
+                    self._rows[child].clear()
                 self._rows[child].append(row)
+                self._told[child] += 1
                 self._parents[child] = parent
                 self._tracks.pop(child, None)
 
@@ -97,7 +110,8 @@ class FrameTree:
                 link = self._fixed[frame][1]
             else:
                 track = self._track(frame)
-                pose = track.sample(0) if once_holds and len(track) == 1 else track.at(time_s)
+                once = once_holds and self._told[frame] == 1
+                pose = track.sample(0) if once else track.at(time_s)
                 if pose is None:
                     return None
                 link = transform_from_pose(pose)
@@ -145,11 +159,37 @@ class FrameTree:
         way = self.way_up(frame)
         return self._up(way[:-1], time_s) if 0 < len(way) < _DEEPEST else None
 
+    def told_until_s(self, *frames: str) -> float:
+        """Up to when all moving links above some frames are told.
+
+        A link that was told once, and long ago by what others tell, does not move.
+        """
+        moving = {link for frame in frames for link in self.way_up(frame) if link in self._rows}
+        newest_s = {link: max(row[0] for row in self._rows[link]) for link in moving}
+        latest_s = max(newest_s.values(), default=math.inf)
+        still = {k for k, s in newest_s.items() if self._told[k] == 1 and latest_s - s > _ONCE_S}
+        return min((s for k, s in newest_s.items() if k not in still), default=math.inf)
+
+    def forget(self) -> None:
+        """Drop what moving links told longer ago than ``window_s``, each by its newest."""
+        for child, rows in self._rows.items():
+            before_s = max(row[0] for row in rows) - self.window_s
+            kept = [row for row in rows if row[0] >= before_s]
+            if len(kept) < len(rows):
+                self._rows[child] = kept
+                self._tracks.pop(child, None)
+
+    def moving_bounds(self) -> dict[str, tuple[float, float]]:
+        """What gaps and speeds each moving link bears, by all that it told."""
+        tracks = {child: self._track(child) for child in self._rows}
+        return {child: (one.max_gap_s, one.fastest_mps) for child, one in tracks.items()}
+
     def _track(self, child: str) -> PoseTrack:
         if child not in self._tracks:
             rows = np.array(self._rows[child])
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
-            self._tracks[child] = PoseTrack(rows, self._max_gap_s)
+            max_gap_s, fastest_mps = self.bounds.get(child, (self._max_gap_s, None))
+            self._tracks[child] = PoseTrack(rows, max_gap_s, fastest_mps=fastest_mps)
         return self._tracks[child]
 
 

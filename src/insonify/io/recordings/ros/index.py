@@ -50,6 +50,7 @@ class Index:
     frames: dict[str, str] = field(default_factory=dict)
     undecoded: int = 0
     no_poses: dict[str, int] = field(default_factory=dict)
+    _plain: set[str] = field(default_factory=set)
 
     def settle(self, vehicle: str) -> None:
         """Make the tree: of plain topics, and of the vehicle's own if it has some; else of all."""
@@ -57,10 +58,54 @@ class Index:
         wanted = {"", vehicle} if vehicle in spaces else spaces
         for topic, message in self.links:
             if namespace(topic) in wanted:
-                try:
-                    self.tree.add(message, "static" in topic)
-                except DAMAGE:
-                    self.undecoded += 1
+                self.hang(topic, message)
+
+    def hang(self, topic: str, message: Any) -> None:
+        """Add a message of TF to the tree."""
+        try:
+            self.tree.add(message, "static" in topic)
+        except DAMAGE:
+            self.undecoded += 1
+
+    def note(self, message: BagMessage) -> None:
+        """Take what a message tells; of a ping its frame alone."""
+        key = (message.topic, message.kind)
+        self.counts[key] = self.counts.get(key, 0) + 1
+        if message.topic in self._plain or message.topic in self.sonars:
+            return
+        name = message.kind.rsplit("/", 1)[-1]
+        try:
+            if name.lower() == TF:
+                self.links.append((message.topic, message.decode()))
+            elif name in KINDS:
+                _note_pose(self, message, message.decode())
+            elif message.kind == STATE:
+                state = message.decode()
+                self.states[stamp_ns(state.header)] = state
+            else:
+                decoded = message.decode()
+                shape = sonar_shape(message.kind, set(getattr(decoded, "__slots__", ()))
+                                    or set(vars(decoded)))  # fmt: skip
+                if shape is None:
+                    self._plain.add(message.topic)
+                else:
+                    self.sonars[message.topic] = shape
+                    self.frames[message.topic] = str(decoded.header.frame_id)
+        except DAMAGE:
+            self.undecoded += 1
+
+    def forget(self, window_s: float) -> None:
+        """Drop what lies longer ago than a time, by the newest that each topic tells."""
+        for topic, rows in self.tracks.items():
+            before_s = max(row[0] for row in rows) - window_s
+            kept = [number for number, row in enumerate(rows) if row[0] >= before_s]
+            if len(kept) < len(rows):
+                self.tracks[topic] = [rows[number] for number in kept]
+                self.spreads[topic] = [self.spreads[topic][number] for number in kept]
+        last_ns = next(reversed(self.states), 0)
+        for stamp in [ns for ns in self.states if abs(ns - last_ns) > window_s * 1e9]:
+            del self.states[stamp]
+        self.tree.forget()
 
 
 def namespace(name: str) -> str:
@@ -71,32 +116,8 @@ def namespace(name: str) -> str:
 def index_of(bag: Bag, max_gap_s: float | None) -> Index:
     """Read all of a bag but its pictures."""
     index = Index(tree=FrameTree(max_gap_s))
-    plain: set[str] = set()
     for message in bag.read(None):
-        key = (message.topic, message.kind)
-        index.counts[key] = index.counts.get(key, 0) + 1
-        if message.topic in plain or message.topic in index.sonars:
-            continue
-        name = message.kind.rsplit("/", 1)[-1]
-        try:
-            if name.lower() == TF:
-                index.links.append((message.topic, message.decode()))
-            elif name in KINDS:
-                _note_pose(index, message, message.decode())
-            elif message.kind == STATE:
-                state = message.decode()
-                index.states[stamp_ns(state.header)] = state
-            else:
-                decoded = message.decode()
-                shape = sonar_shape(message.kind, set(getattr(decoded, "__slots__", ()))
-                                    or set(vars(decoded)))  # fmt: skip
-                if shape is None:
-                    plain.add(message.topic)
-                else:
-                    index.sonars[message.topic] = shape
-                    index.frames[message.topic] = str(decoded.header.frame_id)
-        except DAMAGE:
-            index.undecoded += 1
+        index.note(message)
     return index
 
 

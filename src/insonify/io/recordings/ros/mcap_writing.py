@@ -7,6 +7,7 @@ lacks its index and its last chunk and is read up to there.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -43,6 +44,16 @@ class McapWriter:
         data = bytes(message_types().serialize_cdr(message, kind))
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
         self._file.flush()
+
+    @property
+    def size_bytes(self) -> int:
+        """What is in the file; a chunk that is not full is not."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Write the chunk that is not full yet, and have the disk keep it all."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        os.fdatasync(self._file.fileno())
 
     def close(self) -> None:
         """Write the last chunk and the index."""

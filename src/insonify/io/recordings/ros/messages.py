@@ -85,7 +85,8 @@ float32[4] beam_velocity_covar
 """,
     "insonify_msgs/msg/PingState": """
 # what the mapper was told of the ping with the same stamp, unrounded
-# poses: x, y, z in metres, then roll, pitch, yaw in radians (intrinsic z, y, x)
+# poses: x, y, z in metres, then roll, pitch, yaw in radians (intrinsic z, y, x); not a number
+# where none was known
 std_msgs/Header header
 float64[6] pose
 float64[6] truth
@@ -167,8 +168,12 @@ def sonar_image(ping: Ping, time_ns: int, frame: str, frequency_hz: float, speed
 
 
 def polar_picture(ping: Ping, time_ns: int, frame: str) -> Any:
-    """A ping as a grey sensor_msgs/Image for eyes alone, far ranges above, port to the left."""
-    grey = np.round(np.clip(ping.image[::-1], 0.0, 1.0) * 255.0).astype(np.uint8)
+    """A ping as a grey sensor_msgs/Image for eyes alone, far ranges above, port to the left.
+
+    What nothing is known of is black.
+    """
+    image = np.nan_to_num(ping.image[::-1])
+    grey = np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
     bins, beams = grey.shape
     return new(
         "sensor_msgs/Image",
@@ -204,15 +209,16 @@ def set_generator(generator: np.random.Generator, words: Array) -> None:
 
 
 def ping_state(
-    ping: Ping, pose: Pose, truth: Pose, generator: Array, time_ns: int, frame: str
+    ping: Ping, pose: Pose | None, truth: Pose | None, generator: Array, time_ns: int, frame: str
 ) -> Any:
     """What the mapper was told of a ping, unrounded, and the noise's generator after it."""
     geometry = ping.geometry
+    unknown = np.full(6, np.nan)
     return new(
         "insonify_msgs/PingState",
         header=header(time_ns, frame),
-        pose=np.array(pose.numbers),
-        truth=np.array(truth.numbers),
+        pose=unknown if pose is None else np.array(pose.numbers),
+        truth=unknown if truth is None else np.array(truth.numbers),
         mount=np.array(geometry.mount.numbers),
         azimuth_fov_rad=geometry.azimuth_fov_rad,
         elevation_fov_rad=geometry.elevation_fov_rad,
@@ -221,14 +227,17 @@ def ping_state(
         beams=geometry.beams,
         bins=geometry.bins,
         generator=generator,
-        pose_std=np.array(pose.std),
+        pose_std=np.array((0.0, 0.0) if pose is None else pose.std),
     )
 
 
-def pose_from_state(state: Any) -> Pose:
-    """The pose that a PingState tells, to the last bit."""
+def poses_from_state(state: Any) -> tuple[Pose | None, Pose | None]:
+    """The pose and the true one that a PingState tells, to the last bit; None where it has none."""
+    if np.isnan(state.pose).any():
+        return None, None
     # recordings of version 0.1 do not tell how far it may be off
-    return estimated(Pose(*map(float, state.pose)), getattr(state, "pose_std", (0.0, 0.0)))
+    pose = estimated(Pose(*map(float, state.pose)), getattr(state, "pose_std", (0.0, 0.0)))
+    return pose, Pose(*map(float, state.truth))
 
 
 def geometry_from_state(state: Any) -> FanGeometry:

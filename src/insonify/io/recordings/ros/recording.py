@@ -19,10 +19,10 @@ from insonify.io.recordings.recording import (
 from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.frame_tree import stamp_ns
 from insonify.io.recordings.ros.index import Index, index_of, namespace
-from insonify.io.recordings.ros.messages import geometry_from_state, pose_from_state
+from insonify.io.recordings.ros.messages import geometry_from_state, poses_from_state
 from insonify.io.recordings.ros.pings import PingDecoder
 from insonify.io.recordings.ros.whereabouts import Whereabouts, whereabouts
-from insonify.types import Array, Ping, Pose, PosedPing
+from insonify.types import Array, Ping, PosedPing
 
 
 def read_bag(bag: Bag, reading: Reading) -> Recording:
@@ -38,11 +38,11 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
             RecordingWarning,
             stacklevel=2,
         )
-    topic = _sonar_topic(bag, index, reading)
+    topic = sonar_topic(bag, index, reading)
     index.settle(namespace(topic))
     poses = whereabouts(bag, index, topic, reading)
     count = sum(n for (name, _), n in index.counts.items() if name == topic)
-    reading, scale_doubts = _scaled(bag, index, topic, reading)
+    reading, scale_doubts = scaled_pixels(bag, index, topic, reading)
     decoder = PingDecoder(
         index.sonars[topic], poses.mount, reading, framed=poses.framed, ours=bool(index.states)
     )
@@ -51,7 +51,7 @@ def read_bag(bag: Bag, reading: Reading) -> Recording:
         broken, why = 0, ""
         for message in bag.read({topic}):
             try:
-                yield _recorded(message, decoder, index, poses, reading)
+                yield posed_ping(message, decoder, index, poses, reading)
             except PixelError:
                 raise  # it is the user's to say what they mean
             except DAMAGE as err:
@@ -97,7 +97,9 @@ def _first(pings: Iterator[PosedPing]) -> PosedPing | None:
         return None
 
 
-def _scaled(bag: Bag, index: Index, topic: str, reading: Reading) -> tuple[Reading, list[str]]:
+def scaled_pixels(
+    bag: Bag, index: Index, topic: str, reading: Reading
+) -> tuple[Reading, list[str]]:
     """The full scale of the pings' pixels, as `scaled` finds it."""
     decoder = PingDecoder(index.sonars[topic], None, reading)
 
@@ -114,9 +116,15 @@ def _scaled(bag: Bag, index: Index, topic: str, reading: Reading) -> tuple[Readi
     return scaled(reading, first.dtype, lambda: max(int(pixels.max()) for pixels in raw()))
 
 
-def _recorded(
+def posed_ping(
     message: BagMessage, decoder: PingDecoder, index: Index, poses: Whereabouts, reading: Reading
 ) -> PosedPing:
+    """A message as a ping with the pose that is known of its time.
+
+    Raises:
+        PixelError: Its pixels cannot be meant as they stand.
+        Exception: One of `DAMAGE`: it is no ping.
+    """
     decoded = message.decode()
     time_ns = stamp_ns(decoded.header) or message.time_ns
     time_s = time_ns * 1e-9
@@ -126,8 +134,8 @@ def _recorded(
         pixels = decoder.pixels(decoded)
         if pixels.shape != (geometry.bins, geometry.beams):
             raise ValueError(f"a state of {geometry.bins} x {geometry.beams} pixels is not its own")
-        image = unit_pixels(pixels, reading.full_scale)
-        pose, truth = pose_from_state(state), Pose(*map(float, state.truth))
+        image = unit_pixels(pixels, reading.full_scale, unknown=True)
+        pose, truth = poses_from_state(state)
         return corrected(PosedPing(Ping(image, geometry, time_s), pose, truth), reading)
     at_s = time_s + reading.clock_offset_s
     mount = poses.mount
@@ -140,7 +148,12 @@ def _recorded(
     return PosedPing(decoder.ping(decoded, time_s), poses.pose(index, at_s))
 
 
-def _sonar_topic(bag: Bag, index: Index, reading: Reading) -> str:
+def sonar_topic(bag: Bag, index: Index, reading: Reading) -> str:
+    """The topic of the pings.
+
+    Raises:
+        RecordingError: There is none, or several and the user does not say which.
+    """
     wanted = reading.sonar_topic
     if wanted is not None and wanted in index.sonars:
         return wanted

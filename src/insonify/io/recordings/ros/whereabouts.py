@@ -40,6 +40,7 @@ class Whereabouts:
         mount_source: What tells where the sonar sits.
         mount: ``vehicle_from_frame`` (4, 4) of the sonar's frame, if it never changes.
         track: The vehicle's poses.
+        topic: Of what topic they are.
         frame: The frame whose pose TF tells, if there is no track.
         base: The track's frame, in which the sonar's moves.
         exact: Whether PingState tells all of it.
@@ -60,6 +61,7 @@ class Whereabouts:
     world: Float64 | None = None
     turn: Float64 | None = None
     doubts: tuple[str, ...] = ()
+    topic: str = ""
 
     def in_our_axes(self, transform: Float64) -> Pose:
         """A pose (4, 4) of the recording as one of the vehicle in our world."""
@@ -150,10 +152,8 @@ def _by_tf(index: Index, frame: str, why: str, reading: Reading) -> Whereabouts:
 def _tracked(
     bag: Bag, index: Index, frame: str, topic: str, why: str, reading: Reading
 ) -> Whereabouts:
-    rows, std = np.array(index.tracks[topic]), np.array(index.spreads[topic])
-    order = np.argsort(rows[:, 0], kind="stable")
     try:
-        track = PoseTrack(rows[order], reading.max_gap_s, std[order])
+        track = track_of(index, topic, reading.max_gap_s)
     except ValueError as err:
         raise RecordingError(f"{bag.path}: {topic}: {err}") from err
     base = index.posed[topic] or "base_link"
@@ -165,8 +165,23 @@ def _tracked(
             f"{index.no_poses[topic]} messages of {topic} hold no pose (a number is not finite, "
             "or a quaternion has no length) and are left out",
         )
-    known = Whereabouts(source, "TF", None, track, world=world, turn=turn, doubts=doubts)
+    known = Whereabouts(
+        source, "TF", None, track, world=world, turn=turn, doubts=doubts, topic=topic
+    )
     return _seated(bag, index, frame, base, turn, known, reading)
+
+
+def track_of(
+    index: Index, topic: str, max_gap_s: float | None, fastest_mps: float | None = None
+) -> PoseTrack:
+    """The poses of a topic in the order of time.
+
+    Raises:
+        ValueError: They are none.
+    """
+    rows, std = np.array(index.tracks[topic]), np.array(index.spreads[topic])
+    order = np.argsort(rows[:, 0], kind="stable")
+    return PoseTrack(rows[order], max_gap_s, std[order], fastest_mps)
 
 
 def _axes(world: str, body: str, reading: Reading) -> tuple[Float64 | None, Float64 | None]:

@@ -1,0 +1,205 @@
+"""What a session sends back: the map near the vehicle, the next scan's path, its health.
+
+Topics: ``/insonify/map`` and, on request, ``/insonify/entropy`` (PointCloud2), ``/insonify/path``
+(nav_msgs/Path), ``/diagnostics`` (DiagnosticArray); requests are words on ``/insonify/request``
+(std_msgs/String): ``map``, ``entropy``, ``path``.  A path without poses says that there is none to
+fly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from insonify.io.recordings.ros import messages
+from insonify.io.recordings.ros.bags import BagMessage
+from insonify.live.planning import Answer, Pilot
+from insonify.live.session import Event, Finished, Heard, Session
+from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds, touching
+from insonify.planning.entropy import binary_entropy
+from insonify.types import Array, Bool, Box, Float32, Float64, Int32, Pose
+
+MAP, ENTROPY, PATH = "/insonify/map", "/insonify/entropy", "/insonify/path"
+REQUEST, DIAGNOSTICS = "/insonify/request", "/diagnostics"
+ANSWERS = {
+    MAP: "sensor_msgs/msg/PointCloud2",
+    ENTROPY: "sensor_msgs/msg/PointCloud2",
+    PATH: "nav_msgs/msg/Path",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+}
+REQUESTS = ("map", "entropy", "path")
+_MOST_SHARE = 0.05
+"""Of the time, for sending the map; pings wait for it."""
+_OK, _WARN, _STALE = 0, 1, 3
+
+Send = Callable[[str, Any], None]
+"""Sends a message on a topic."""
+
+
+@dataclass(slots=True, eq=False)
+class Publisher:
+    """Sends what a session has made (a watcher of it).
+
+    Attributes:
+        send: Where to: the bus, Foxglove, or nowhere.
+        pilot: Plans the next scan; None if paths are not sent.
+        radius_m: How far from the vehicle the map is sent.
+        every_s: How often map and health are, at most; a map that takes long is sent less often,
+            and one that has not changed is not.
+        words: What was last decided, for people.
+    """
+
+    send: list[Send]
+    pilot: Pilot | None = None
+    radius_m: float = 20.0
+    every_s: float = 1.0
+    words: str = ""
+    _pose: Pose | None = None
+    _stamp_ns: int = 0
+    _answered: tuple[int, Any] | None = None
+    _due_s: float = 0.0
+    _shown_ns: int = -1
+    _heard_s: float = field(default_factory=time.monotonic)
+    _asked: list[str] = field(default_factory=list)
+
+    def hears(self, message: BagMessage) -> bool:
+        """Whether a message is a request; it is answered at the next event."""
+        if message.topic != REQUEST:
+            return False
+        word = str(message.decode().data).strip()
+        if word in REQUESTS and word not in self._asked:
+            self._asked.append(word)
+        return True
+
+    def watch(self, session: Session, event: Event) -> None:
+        """Send what is due."""
+        if isinstance(event, Heard):
+            self._heard_s = time.monotonic()
+            self._stamp_ns = event.stamp_ns
+            self._follow(session, event)
+        asked, self._asked = self._asked, []
+        for word in asked:
+            {"map": self._map, "entropy": self._entropy, "path": self.plan}[word](session)
+        if not self.send:
+            return
+        if isinstance(event, Finished) or time.monotonic() > self._due_s:
+            begun_s = time.monotonic()
+            if self._shown_ns != self._stamp_ns:
+                self._map(session)
+            took_s = time.monotonic() - begun_s
+            self._due_s = begun_s + max(self.every_s, took_s / _MOST_SHARE)
+            self._health(session, ended=isinstance(event, Finished))
+
+    def plan(self, session: Session) -> None:
+        """Send the next scan's path; one without poses if there is none to fly."""
+        if self.pilot is None:
+            self.words = "a path was asked for, and none are sent (--plan)"
+            return
+        if self._answered is not None and self._answered[0] == self._stamp_ns:
+            self._say(PATH, self._answered[1])  # nothing has come since
+            return
+        answer = Answer(None, "nothing is mapped yet")
+        if self._pose is not None and session.remap.fans:
+            geometry = session.remap.fans[-1]
+            answer = self.pilot.next_scan(session.remap.mapper, geometry, self._pose)
+        self.words = f"next scan: {answer.why}" if answer.path else f"no next scan: {answer.why}"
+        way = () if answer.path is None else answer.path.waypoints
+        origin = session.remap.mapper.voxels.origin_m
+        world = tuple(pose.moved(origin) for pose in way)
+        path = messages.path(world, self._stamp_ns, session.poser.world)
+        self._answered = self._stamp_ns, path
+        self._say(PATH, path)
+
+    def _say(self, topic: str, message: Any) -> None:
+        for send in self.send:
+            send(topic, message)
+
+    def _follow(self, session: Session, event: Heard) -> None:
+        """Note where the vehicle is; at the end of a scan that was sent, send the next."""
+        if event.posed.pose is None:
+            return
+        self._pose = event.posed.pose.relative_to(session.remap.mapper.voxels.origin_m)
+        if self.pilot is not None and self.pilot.flown(self._pose):
+            self.plan(session)
+
+    def _map(self, session: Session) -> None:
+        self._shown_ns = self._stamp_ns
+        points = occupied_near(session.remap.mapper.voxels, self._pose, self.radius_m)
+        names = ("x", "y", "z", "probability")
+        self._say(MAP, messages.point_cloud(points, names, self._stamp_ns, session.poser.world))
+
+    def _entropy(self, session: Session) -> None:
+        points = undecided_near(session.remap.mapper.voxels, self._pose, self.radius_m)
+        names = ("x", "y", "z", "entropy")
+        self._say(ENTROPY, messages.point_cloud(points, names, self._stamp_ns, session.poser.world))
+
+    def _health(self, session: Session, *, ended: bool) -> None:
+        told = session.counts.to_json() | {
+            "waiting": session.poser.waiting,
+            "poses from": session.poser.source,
+            "blocks": session.remap.mapper.voxels.block_count,
+        }
+        silent_s = time.monotonic() - self._heard_s
+        level, words = _OK, self.words or "mapping"
+        if ended:
+            level, words = _STALE, "ended"
+        elif silent_s > 5.0:
+            level, words = _WARN, f"no ping for {silent_s:.0f} s"
+        elif session.counts.refused or session.counts.unposed > session.counts.mapped:
+            level, words = _WARN, session.counts.last_damage or "most pings have no pose"
+        values = [
+            messages.new("diagnostic_msgs/KeyValue", key=key, value=str(value))
+            for key, value in told.items()
+        ]
+        status = messages.new(
+            "diagnostic_msgs/DiagnosticStatus",
+            level=level, name="insonify: live", message=words, hardware_id="", values=values,
+        )  # fmt: skip
+        header = messages.header(time.time_ns(), "")
+        self._say(
+            DIAGNOSTICS,
+            messages.new("diagnostic_msgs/DiagnosticArray", header=header, status=[status]),
+        )
+
+
+def occupied_near(voxels: VoxelMap, pose: Pose | None, radius_m: float) -> Float64:
+    """Occupied voxels around a pose (N, 4): x, y, z in the world, probability."""
+    if pose is None:
+        return np.zeros((0, 4))
+    coords, log_odds, _ = _blocks_near(voxels, pose, radius_m)
+    mask = log_odds > 0.0
+    values = probability_from_log_odds(log_odds[mask])
+    return _rows(voxels, coords, mask, values, pose, radius_m)
+
+
+def undecided_near(
+    voxels: VoxelMap, pose: Pose | None, radius_m: float, least_bits: float = 0.5
+) -> Float64:
+    """Voxels in view of high entropy around a pose (N, 4): x, y, z in the world, bits."""
+    if pose is None:
+        return np.zeros((0, 4))
+    coords, log_odds, seen = _blocks_near(voxels, pose, radius_m)
+    bits = binary_entropy(probability_from_log_odds(log_odds))
+    mask = (seen > 0) & (bits >= least_bits)
+    return _rows(voxels, coords, mask, bits[mask], pose, radius_m)
+
+
+def _blocks_near(voxels: VoxelMap, pose: Pose, radius_m: float) -> tuple[Int32, Float32, Array]:
+    """Places, log-odds and what was seen of the blocks that a box around a pose touches."""
+    box = Box.of(pose.position_m, pose.position_m).grown(radius_m)
+    near = touching(voxels.coords, voxels.block_m, box)
+    return voxels.coords[near], voxels.log_odds[near], voxels.seen[near]
+
+
+def _rows(
+    voxels: VoxelMap, coords: Int32, mask: Bool, values: Array, pose: Pose, radius_m: float
+) -> Float64:
+    row, cell = np.nonzero(mask)
+    within = np.column_stack(np.unravel_index(cell, (BLOCK, BLOCK, BLOCK)))
+    places = (coords[row] * BLOCK + within + 0.5) * voxels.voxel_m
+    near = np.linalg.norm(places - pose.position_m, axis=1) <= radius_m
+    return np.column_stack([places[near] + voxels.origin_m, values[near]])

@@ -1,0 +1,92 @@
+"""A session on the bus: what is read of it, and what goes back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from insonify.io.recordings.recording import Reading
+from insonify.io.recordings.ros.bags import BagMessage
+from insonify.io.recordings.ros.index import KINDS, STATE, TF
+from insonify.io.recordings.ros.pings import sonar_shape
+from insonify.live.bus import Bus
+from insonify.live.publishing import REQUEST, Publisher
+from insonify.live.session import Event, Session
+
+_LOOK_S, _MOMENT_S = 0.05, 1.5
+
+
+def wanted_by(reading: Reading) -> Callable[[str, str], bool]:
+    """Which topics a session reads: pings, poses and TF, requests; those the user chose, if any."""
+
+    def wanted(topic: str, kind: str) -> bool:
+        name = kind.rsplit("/", 1)[-1]
+        if sonar_shape(kind, None) is not None:
+            return reading.sonar_topic in (None, topic)
+        if name in KINDS:
+            return reading.pose_topic in (None, topic)
+        return kind == STATE or name.lower() == TF or topic == REQUEST
+
+    return wanted
+
+
+def heard(
+    bus: Bus, reading: Reading, publisher: Publisher, idle_s: float
+) -> Iterator[BagMessage | None]:
+    """The bus as a source of a session; requests go to the publisher."""
+    for message in bus.messages(wanted_by(reading), idle_s):
+        yield None if message is None or publisher.hears(message) else message
+
+
+def counting_losses(bus: Bus) -> Callable[[Session, Event], None]:
+    """A watcher that notes what the bus has lost."""
+
+    def watch(session: Session, event: Event) -> None:
+        session.counts.lost = bus.lost
+
+    return watch
+
+
+def publish_all(
+    bus: Bus,
+    messages: Iterator[BagMessage | None],
+    should_stop: Callable[[], bool],
+    told: Callable[[int], None],
+) -> int:
+    """Send a source's messages, with the clock they are told by; how many were sent."""
+    sent = 0
+    for message in messages:
+        if should_stop():
+            break
+        if message is None:
+            continue
+        decoded: Any = message.decode()
+        bus.publish(message.topic, decoded, latched="static" in message.topic)
+        sent += 1
+        told(sent)
+    return sent
+
+
+def await_listener(
+    bus: Bus,
+    topics: Mapping[str, str],
+    needed: str,
+    wait_s: float,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> bool:
+    """Open topics, and wait until one that is needed is listened to; whether it is.
+
+    The others are then given a moment to be found too, since what is sent before is lost.
+    """
+    for topic, kind in topics.items():
+        bus.writer(topic, kind, latched="static" in topic)
+    until_s = time.monotonic() + wait_s
+    while not bus.listeners(needed):
+        if should_stop() or time.monotonic() > until_s:
+            return False
+        time.sleep(_LOOK_S)
+    until_s = time.monotonic() + _MOMENT_S
+    while not all(map(bus.listeners, topics)) and time.monotonic() < until_s:
+        time.sleep(_LOOK_S)
+    return True
