@@ -55,6 +55,10 @@ class ClusterError(InsonifyError):
     """A cluster's scheduler does not answer, or its workers cannot fly what is asked."""
 
 
+class UploadError(InsonifyError):
+    """An autopilot does not answer, or does not take what it is given."""
+
+
 class MissingExtraError(InsonifyError):
     """An optional package is needed and not installed."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import socket
 import subprocess
 import sys
 from itertools import pairwise
@@ -12,10 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from insonify.cli.plans import way_there
+from insonify.errors import GeometryError
 from insonify.io.maps import load_map, save_map
 from insonify.mapping.store import cell_of
 from insonify.mapping.voxels import VoxelMap
+from insonify.types import Pose, ScanPath
 
 FROM = "-9 0 -2 0"
 ASKED = ["--sonar", "park-2025", "--region", "-3 -3 -6 9 3 1", "--set", "entropy.termination=0"]
@@ -88,3 +94,48 @@ def test_figures_are_told_in_words_and_units(tmp_path: Path) -> None:
     for words in ("yaw 0 degrees (compass 90)", "round what is mapped", "40 pings", "0.5 m/s"):
         assert words in done.stdout
     assert "[" not in done.stdout and "_m" not in done.stdout
+
+
+@settings(max_examples=500, deadline=None)
+@given(
+    occupied=st.lists(
+        st.tuples(*(st.integers(-14, 14) for _ in range(2)), st.integers(-3, 3)), max_size=40
+    ),
+    ends=st.tuples(*(st.tuples(*(st.floats(-4.0, 4.0) for _ in range(2))) for _ in range(3))),
+    clearance_m=st.floats(0.1, 1.5),
+)
+def test_no_way_comes_nearer_than_the_clearance(
+    occupied: list[tuple[int, int, int]], ends: tuple[tuple[float, float], ...], clearance_m: float
+) -> None:
+    """Whatever is mapped, a way keeps off it, by points along it, or there is none."""
+    voxels = VoxelMap(0.25)
+    cells = np.array(occupied, np.int64).reshape(-1, 3)
+    slots = voxels.allocate((cells // 8).astype(np.int32))
+    voxels.log_odds[slots, cell_of(cells)] = 2.0
+    pose, start, end = (Pose(x, y, 0.1) for x, y in ends)
+    try:
+        way = way_there(voxels, pose, ScanPath((start, end)), clearance_m)
+    except GeometryError:
+        return
+    corners = np.array([one.position_m for one in (pose, *way, end)])
+    points = np.concatenate([np.linspace(a, b, 200) for a, b in pairwise(corners)])
+    centres = (cells + 0.5) * 0.25
+    apart = np.linalg.norm(points[:, None] - centres, axis=2).min(initial=np.inf)
+    assert apart - 0.25 * math.sqrt(3.0) / 2 >= clearance_m - 1e-9
+    assert way[-1] == start
+
+
+def test_a_plan_of_its_own_name_and_one_that_nobody_takes(tmp_path: Path) -> None:
+    _walled(tmp_path, width_m=6.0)
+    refused = _plan("--out", "next.plan", cwd=tmp_path)
+    assert refused.returncode == 2 and "--datum" in refused.stderr
+    done = _plan("--out", "next.plan", "--datum", "41.5 -71.3", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    mission = json.loads((tmp_path / "next.plan").read_text())["mission"]
+    assert [item["command"] for item in mission["items"]][:2] == [178, 16]
+    assert json.loads(done.stdout)["files"] == ["next.plan"]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"udp:127.0.0.1:{taken.getsockname()[1]}"
+        lost = _plan("--datum", "41.5 -71.3", "--upload", address, cwd=tmp_path)
+    assert lost.returncode == 2 and "Traceback" not in lost.stderr and address in lost.stderr

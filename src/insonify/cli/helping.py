@@ -15,7 +15,7 @@ PANELS = {
     "sonar_topic rate wait idle",
     "Vehicle": "plan clearance speed radius vehicle current navigation real_time live_bus",
     "Output": "out force as_json live foxglove mcap picture every quiet port host workers "
-    "scheduler prune yes formats",
+    "scheduler prune yes formats upload",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
 

@@ -24,6 +24,7 @@ from insonify.cli.words import plan_rows
 from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
+    from insonify.io.datum import Datum
     from insonify.mapping.voxels import VoxelMap
     from insonify.mission.setup import Config
     from insonify.planning.active import EntropySettings
@@ -78,22 +79,31 @@ def plan(
     picture: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Draw it from above and from the side.")
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the path.")] = Path("plan"),
+    upload: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Give it to an autopilot by MAVLink, as udp:127.0.0.1:14550."
+        ),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR|FILE.plan", help="For the path; or QGC's plan alone."),
+    ] = Path("plan"),
     settings: SetOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace results in DIR.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan the next scan path from a map: where it would resolve most of what is undecided."""
     from insonify.cli.recordings import box_from_text
-    from insonify.io.folders import result_folder
-    from insonify.io.plans import save_plan
+    from insonify.io.folders import result_file, result_folder
+    from insonify.io.mavlink import upload_mission
+    from insonify.io.plans import qgroundcontrol, save_plan
     from insonify.planning.once import plan_next, turns_of
     from insonify.results.map import load_mapper
     from insonify.types import ScanPath
 
     begin("reading the map")
-    told = _pose(from_)
-    place = datum_from_text(datum) if datum is not None else None
+    told, place = _pose(from_), _place(datum, out, upload)
     entropy = entropy_settings(settings)
     file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
     mapper = load_mapper(map_)
@@ -107,19 +117,44 @@ def plan(
     document = _describe(decision, pose, box, origin_m)
     if decision.path is not None:
         least_m = _least_clearance_m(file) if clearance is None else clearance
-        way = _way_there(mapper.voxels, pose, decision.path, least_m)
+        way = way_there(mapper.voxels, pose, decision.path, least_m)
         document |= _describe_way(mapper.voxels, pose, way, decision.path) | {"speed_mps": speed}
-        with result_folder(out, force=force) as folder:
-            flown = ScanPath((*way[:-1], *turns_of(decision.path.waypoints)))
-            document["files"] = save_plan(flown, folder.scratch, place, origin_m, speed)
-            document["waypoints"] = len(flown.waypoints)
-            (folder.scratch / "decision.json").write_text(json.dumps(document, indent=2) + "\n")
+        flown = ScanPath((*way[:-1], *turns_of(decision.path.waypoints)))
+        document["waypoints"] = len(flown.waypoints)
+        mission = None if place is None else qgroundcontrol(flown, place, speed)
+        if out.suffix == ".plan":
+            document["files"] = [out.name]
+            with result_file(out, force=force) as scratch:
+                scratch.write_text(_json(mission))
+        else:
+            with result_folder(out, force=force) as folder:
+                document["files"] = save_plan(flown, folder.scratch, place, origin_m, speed)
+                (folder.scratch / "decision.json").write_text(_json(document))
+        if upload is not None and mission is not None:
+            begin(f"sending to {upload}")
+            document["uploaded_to"] = f"{upload}, {upload_mission(mission, upload)}"
     if picture is not None:
         _draw(picture, mapper.voxels, box, decision, (pose, *way) if decision.path else (pose,))
     _tell(document, out, as_json=as_json, placed=place is not None)
 
 
-def _way_there(voxels: VoxelMap, pose: Pose, path: ScanPath, least_m: float) -> tuple[Pose, ...]:
+def _json(document: Any) -> str:
+    return json.dumps(document, indent=2) + "\n"
+
+
+def _place(datum: str | None, out: Path, upload: str | None) -> Datum | None:
+    """Where the map's origin lies, if that is told.
+
+    Raises:
+        ConfigError: It is not, and an autopilot must know.
+    """
+    if datum is None and (upload is not None or out.suffix == ".plan"):
+        what = "--upload" if upload is not None else out.name
+        raise ConfigError(f"{what}: an autopilot takes places on the Earth; give a --datum")
+    return None if datum is None else datum_from_text(datum)
+
+
+def way_there(voxels: VoxelMap, pose: Pose, path: ScanPath, least_m: float) -> tuple[Pose, ...]:
     """The way to a scan's first pose, round what is mapped.
 
     Raises:

@@ -79,6 +79,7 @@ def plan_rows(document: dict[str, Any]) -> list[list[str]]:
             ["speed", f"{document['speed_mps']:g} m/s"],
             ["least clearance", f"{document['clearance_m']:.3g} m"],
             ["files", ", ".join(document["files"])],
+            *([["sent to", document["uploaded_to"]]] if "uploaded_to" in document else []),
         ]  # fmt: skip
     if document["stop"] is not None:
         rows.append(["nothing to scan", document["stop"]])

@@ -57,7 +57,7 @@ def save_plan(
     texts = {"path.csv": _csv(path, world, datum), "path.yaml": _ros_yaml(world)}
     if datum is not None:
         texts["path.geojson"] = json.dumps(_geojson(path, datum), indent=2) + "\n"
-        texts["path.plan"] = json.dumps(_qgroundcontrol(path, datum, speed_mps), indent=2) + "\n"
+        texts["path.plan"] = json.dumps(qgroundcontrol(path, datum, speed_mps), indent=2) + "\n"
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     with McapWriter(folder / "path.mcap") as writer:
@@ -120,18 +120,27 @@ def _geojson(path: ScanPath, datum: Datum) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": features}
 
 
-def _qgroundcontrol(path: ScanPath, datum: Datum, speed_mps: float) -> dict[str, Any]:
-    """A plan file for ArduSub: heights are relative to home, which is the datum, so negative."""
-    items: list[dict[str, Any]] = [
-        {
-            "autoContinue": True,
-            "command": _CHANGE_SPEED,
-            "doJumpId": 1,
-            "frame": _MISSION,
-            "params": [_GROUND_SPEED, speed_mps, -1, 0, 0, 0, 0],
-            "type": "SimpleItem",
-        }
-    ]
+def _change_speed(speed_mps: float) -> dict[str, Any]:
+    """A plan's first item."""
+    return {
+        "autoContinue": True,
+        "command": _CHANGE_SPEED,
+        "doJumpId": 1,
+        "frame": _MISSION,
+        "params": [_GROUND_SPEED, speed_mps, -1, 0, 0, 0, 0],
+        "type": "SimpleItem",
+    }
+
+
+def qgroundcontrol(path: ScanPath, datum: Datum, speed_mps: float) -> dict[str, Any]:
+    """A plan file for ArduSub: heights are relative to home, which is the datum, so negative.
+
+    Args:
+        path: In the map's own frame.
+        datum: Where that lies on the Earth.
+        speed_mps: Its first item.
+    """
+    items = [_change_speed(speed_mps)]
     for number, pose in enumerate(path.waypoints, 2):
         latitude, longitude, height = datum.geodetic(pose)
         altitude = round(height - datum.height_m, 4)
