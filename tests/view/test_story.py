@@ -80,7 +80,7 @@ def test_a_story_told_live_is_the_run(run: tuple[Run, Story]) -> None:
     assert len(story.moments) == done.pings
     flown = [pose for path in done.paths for pose in path.waypoints]
     assert [moment.pose for moment in story.moments] == flown
-    assert story.end == done.stop_reason.sentence
+    assert story.end == done.result().why_stopped
     assert {solid.name for solid in story.world} == set(done.world.scene.labels)
     found = story.maps.at(len(story.moments))
     assert found is not None and found[0] == done.pings

@@ -149,7 +149,7 @@ class Run(Told):
             pings=self.pings,
             path_m=round(self.path_m, 6),
             stop_reason=self.stop_reason,
-            why_stopped=self._why_stopped,
+            why_stopped=self.why_stopped,
             metrics=self.history[-1].metrics,
             history=tuple(self.history),
             region_m=(region.low_m, region.high_m),
@@ -158,7 +158,7 @@ class Run(Told):
         )
 
     @property
-    def _why_stopped(self) -> str:
+    def why_stopped(self) -> str:
         """In a sentence: the planner's own, if it was the planner."""
         last = self.decisions[-1].decision if self.decisions else None
         if last is not None and last.stop is self.stop_reason and last.why_not is not None:

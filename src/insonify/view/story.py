@@ -162,5 +162,5 @@ class Story:
             self.add_map(run.mapper.voxels, run.world.area.region)
         elif isinstance(step, Ended):
             self.add_map(run.mapper.voxels, run.world.area.region)
-            self.end = step.reason.sentence
+            self.end = run.why_stopped
         self.changed()
