@@ -14,9 +14,11 @@ from insonify.scene import Body, Material, Scene
 from insonify.scene.materials import NormalMap
 from insonify.scene.objects import shipwreck
 from insonify.scene.seabed import Seabed, procedural_seabed
+from insonify.sonar import Sonar
 from insonify.sonar.devices import SonarDevice
+from insonify.sonar.draws import drawn_key
 from insonify.sonar.embree import EmbreeRenderer
-from insonify.sonar.formation import normalise_energy
+from insonify.sonar.formation import ImageSettings, form_image, normalise_energy
 from insonify.sonar.gpu import open_context
 from insonify.sonar.histogram import Law, Response, gather
 from insonify.sonar.opengl import OpenGLRenderer
@@ -91,6 +93,29 @@ def test_both_renderers_make_one_image(opengl: OpenGLRenderer, scene: str, devic
         error = normalise_energy(theirs) - normalise_energy(ours)
         most = OF_ONE_BEAM if geometry.beams == 1 else AGREEMENT
         assert math.sqrt((error**2).mean()) < most
+
+
+@pytest.mark.parametrize("bins", [500, 333])
+def test_the_device_forms_the_image_that_the_cpu_does(opengl: OpenGLRenderer, bins: int) -> None:
+    """The same counters and tables: the same speckle and noise in every pixel, to rounding."""
+    scene, pose = _wreck(), Pose(-9.0, 0.0, 8.0)
+    device = SonarDevice(bins=bins)
+    for settings in (
+        ImageSettings(),
+        ImageSettings(speckle=0.5, noise=0.2),
+        ImageSettings(noise=0),
+    ):
+        echoes = opengl.render(scene, device.geometry, pose, Response())
+        for key in (0, 7, 2**64 - 1, 0x123456789ABCDEF0):
+            ours = form_image(echoes, settings, key)
+            theirs = opengl.image(scene, device.geometry, pose, Response(), settings, key)
+            np.testing.assert_allclose(theirs, ours, atol=2e-6, rtol=0)
+    sonar = Sonar(device, renderer=opengl)
+    key = drawn_key(np.random.default_rng(3))
+    ping = sonar.ping(scene, pose, np.random.default_rng(3))
+    np.testing.assert_allclose(ping.image, form_image(
+        opengl.render(scene, device.geometry, pose, sonar.response), ImageSettings(), key
+    ), atol=2e-6, rtol=0)  # fmt: skip
 
 
 def test_the_same_bytes_twice_and_samples_gather_to_the_same(opengl: OpenGLRenderer) -> None:

@@ -120,8 +120,7 @@ class Sonar:
             fans = [self.device.geometry_at(head_rad) for _, head_rad, _ in several]
             keys = [drawn_key(rng or np.random.default_rng(0)) for _ in several]
             heard = [self._heard(fan) for fan in fans]
-            echoes = self._renderer.render_all(scene, heard, places, self.response)
-            images = self._form_all(echoes, heard, places, keys)
+            images = self._images(scene, heard, places, keys)
             for (_, head_rad, time_s), fan, image in zip(several, fans, images, strict=True):
                 yield Ping(image, fan, time_s, head_rad)
 
@@ -135,6 +134,20 @@ class Sonar:
         """What it shows where there is nothing but water, (bins, beams): noise, and the water."""
         alone = replace(self, speckle=SpeckleField())
         return alone._form(_nothing(self.device), self.device.geometry, Pose(0.0, 0.0, 0.0), 0)
+
+    def _images(
+        self, scene: Scene, fans: list[FanGeometry], poses: list[Pose], keys: list[int]
+    ) -> list[Float32]:
+        """Render and form; the paper's images where the echoes are, if that is a device."""
+        renderer = self._renderer
+        if isinstance(renderer, OpenGLRenderer) and self.physical is None:
+            each = zip(fans, poses, keys, strict=True)
+            return [
+                renderer.image(scene, fan, pose, self.response, self.image, key)
+                for fan, pose, key in each
+            ]
+        echoes = renderer.render_all(scene, fans, poses, self.response)
+        return self._form_all(echoes, fans, poses, keys)
 
     @property
     def _edge_rad(self) -> float:

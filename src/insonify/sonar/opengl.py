@@ -17,9 +17,12 @@ import numpy as np
 from insonify.errors import RendererError
 from insonify.frames import directions_from_angles, rotation_from_rpy, world_from_sonar
 from insonify.scene import Scene
+from insonify.sonar.draws import CELLS, normal_table, skew_normal_table
+from insonify.sonar.formation import ImageSettings
 from insonify.sonar.gpu import UploadedScene, open_context, projection, set_uniforms, shader
 from insonify.sonar.histogram import (
     BEYOND,
+    FULL_CELL,
     LEAST_FACING,
     EchoHistogram,
     Response,
@@ -55,7 +58,9 @@ class OpenGLRenderer:
         self._uploaded: UploadedScene | None = None
         self._arrays: list[Any] = []
         self._targets: dict[tuple[int, int], _Target] = {}
-        self._sums: dict[tuple[int, int], tuple[Any, Any]] = {}
+        self._form = self.context.compute_shader(shader("form.comp"))
+        self._sums: dict[tuple[int, int], tuple[Any, Any, Any]] = {}
+        self._tables: tuple[tuple[float, float], Any] | None = None
 
     @property
     def device(self) -> str:
@@ -66,16 +71,63 @@ class OpenGLRenderer:
         self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
     ) -> EchoHistogram:
         """The echoes of a scene from a vehicle pose."""
+        shape = (geometry.beams, geometry.bins)
+        echo, coverage = (
+            np.frombuffer(buffer.read(), np.uint32).reshape(shape) / np.float32(_UNIT)
+            for buffer in self._bin_fan(scene, geometry, pose, response)[:2]
+        )
+        return EchoHistogram(echo.T.astype(np.float32), coverage.T.astype(np.float32))
+
+    def image(
+        self,
+        scene: Scene,
+        geometry: FanGeometry,
+        pose: Pose,
+        response: Response,
+        settings: ImageSettings,
+        key: int,
+    ) -> Float32:
+        """`sonar.formation.form_image` of `render`, to rounding; nothing else leaves the device."""
+        *_, formed = self._bin_fan(scene, geometry, pose, response)
+        self._tables_of(settings).bind_to_storage_buffer(2)
+        formed.bind_to_storage_buffer(3)
+        beams, bins = geometry.beams, geometry.bins
+        set_uniforms(
+            self._form,
+            beams=beams,
+            bins=bins,
+            cells=CELLS,
+            key_low=key & 0xFFFFFFFF,
+            key_high=key >> 32,
+            unit=_UNIT,
+            least=FULL_CELL / bins,
+            noise=settings.noise,
+        )
+        pairs = -(-bins // 2)
+        self._form.run(-(-pairs // 16), -(-beams // 16))
+        self.context.memory_barrier()
+        return np.frombuffer(formed.read(), np.float32).reshape(beams, bins).T
+
+    def _tables_of(self, settings: ImageSettings) -> Any:
+        """Speckle's and noise's quantiles on the device."""
+        wanted = (settings.speckle, settings.speckle_skew)
+        if self._tables is None or self._tables[0] != wanted:
+            both = np.stack([skew_normal_table(*wanted), normal_table()])
+            self._tables = wanted, self.context.buffer(both.tobytes())
+        return self._tables[1]
+
+    def _bin_fan(
+        self, scene: Scene, geometry: FanGeometry, pose: Pose, response: Response
+    ) -> tuple[Any, Any, Any]:
+        """Draw and bin a fan: sums of echo and coverage, and room for the image."""
         target = self._draw_fan(scene, geometry, pose, response)
         shape = (geometry.beams, geometry.bins)
         if shape not in self._sums:
             size = 4 * geometry.beams * geometry.bins
-            self._sums[shape] = (
-                self.context.buffer(reserve=size),
-                self.context.buffer(reserve=size),
-            )
+            echo, coverage, formed = (self.context.buffer(reserve=size) for _ in range(3))
+            self._sums[shape] = echo, coverage, formed
         sums = self._sums[shape]
-        for slot, buffer in enumerate(sums):
+        for slot, buffer in enumerate(sums[:2]):
             buffer.clear()
             buffer.bind_to_storage_buffer(slot)
         target.channels.use(0)
@@ -92,11 +144,8 @@ class OpenGLRenderer:
         )
         width, height = target.channels.size
         self._bin.run(-(-width // 16), -(-height // 16))
-        echo, coverage = (
-            np.frombuffer(buffer.read(), np.uint32).reshape(shape) / np.float32(_UNIT)
-            for buffer in sums
-        )
-        return EchoHistogram(echo.T.astype(np.float32), coverage.T.astype(np.float32))
+        self.context.memory_barrier()
+        return sums
 
     def render_all(
         self, scene: Scene, fans: Sequence[FanGeometry], poses: Sequence[Pose], response: Response
