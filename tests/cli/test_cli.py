@@ -23,9 +23,10 @@ QUICK = ["--set", "mapping.voxel_m=0.25", "--set", "survey.waypoints=6"]
 
 
 def _run(
-    *arguments: str, cwd: Path, threads: int | None = None
+    *arguments: str, cwd: Path, threads: int | None = None, columns: int = 80
 ) -> subprocess.CompletedProcess[str]:
     environment = os.environ | ({"NUMBA_NUM_THREADS": str(threads)} if threads else {})
+    environment["COLUMNS"] = str(columns)
     return subprocess.run(
         [sys.executable, "-m", "insonify", *arguments],
         cwd=cwd,
@@ -152,6 +153,23 @@ def test_compare_prints_the_runs_and_the_papers_figures(tmp_path: Path) -> None:
     every = _run("compare", "tetrapod", "--seeds", "1", "--all", *QUICK, cwd=tmp_path)
     assert every.returncode == 0 and "recall" in every.stdout and "0.811" in every.stdout
     assert max(map(len, every.stdout.splitlines())) <= 80 and "…" not in every.stdout
+
+
+@pytest.mark.parametrize("columns", [60, 80])
+def test_tables_fit(columns: int, tmp_path: Path) -> None:
+    one = [*QUICK, "--set", "survey.baseline_scans=1"]
+    commands = (
+        ["scan", "tetrapod", *one, "--planner", "uniform", "--out", "s"],
+        ["compare", "tetrapod", *one, "--planner", "lawnmower-near", "--seeds", "2"],
+        ["plan", "s", "--from", "0 9 -14 -90", "--set", "entropy.termination=0", "--out", "p"],
+        ["info", "s/recording.mcap"],
+    )
+    for command in commands:
+        done = _run(*command, cwd=tmp_path, columns=columns)
+        assert done.returncode == 0, done.stderr
+        tables = [line for line in done.stdout.splitlines() if line[:1] in " ┏┃┡│└"]
+        assert len(tables) > 4, command
+        assert max(map(len, tables)) <= columns and "…" not in done.stdout, command
 
 
 @pytest.mark.parametrize("command", ["scenarios", "sonars"])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from insonify.cli.printing import say, say_json, say_table, tell
+from insonify.cli.printing import console, say, say_json, say_table, tell
 from insonify.cli.progress import begin, progress
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from insonify.mission.result import ScanResult
 
 
+_WIDE = 72
+"""Characters from which on pings are told beside the path."""
 PlannersOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -193,14 +195,17 @@ def _view(
     from rich.table import Table as RichTable
 
     view = RichTable("planner", title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
-    for head in (*columns, "pings", "path, m"):
+    spent = {"pings": "pings", "path, m": "path_m"}
+    if console().width < _WIDE:
+        del spent["pings"]
+    for head in (*columns, *spent):
         view.add_column(head, justify="right")
     short = [planner.rpartition(":")[2] for planner in planners]
     for (planner, figures), head in zip(planners.items(), short, strict=True):
         cells = [
             _figure(figures[kind][match][score], spread) for kind, match, score in columns.values()
         ]
-        cells += [f"{figures[key]['mean']:.1f}" for key in ("pings", "path_m")]
+        cells += [f"{figures[key]['mean']:.1f}" for key in spent.values()]
         view.add_row(head if short.count(head) == 1 else planner, *cells)
         if "paper" in figures:
             theirs = (f"{figures['paper'][score]:.3f}" for _, _, score in columns.values())

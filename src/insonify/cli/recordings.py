@@ -138,7 +138,8 @@ def map_(
                 watch=watch,
                 should_stop=interrupted,
             )
-        result = save_remap(remap, place.scratch, full)
+        with progress("writing the map and its report"):
+            result = save_remap(remap, place.scratch, full)
     if as_json:
         say_json(result.to_json())
     else:
