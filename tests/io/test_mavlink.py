@@ -36,7 +36,13 @@ class Autopilot:
 
     def run(self) -> None:
         link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{self.port}", source_system=7)
-        ask = link.mav.mission_request_int_send if self.whole else link.mav.mission_request_send
+
+        def ask(number: int) -> None:
+            send = (
+                link.mav.mission_request_int_send if self.whole else link.mav.mission_request_send
+            )
+            send(255, 0, number)
+
         beaten_s = 0.0
         count = 0
         while not self.over.is_set():
@@ -49,11 +55,11 @@ class Autopilot:
                 self.deaf_to -= 1
             elif kind == "MISSION_COUNT":
                 count = message.count
-                ask(255, 0, 0)
+                ask(0)
             elif kind in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.seq == len(self.items):
                 self.items.append(message)
                 if len(self.items) < count:
-                    ask(255, 0, len(self.items))
+                    ask(len(self.items))
                 else:
                     link.mav.mission_ack_send(255, 0, self.answer)
         link.close()
