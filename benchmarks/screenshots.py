@@ -30,7 +30,7 @@ from benchmarks.chromium import (
 )
 
 SIZES = {"desktop": DESKTOP, "phone": PHONE}
-DOCS = Path("site/index.html")
+DOCS = Path("build/docs/index.html")
 PATIENCE_S = 60.0
 _SETTLES_S = 3.0
 """Software draws slowly."""

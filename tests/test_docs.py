@@ -93,7 +93,7 @@ def test_the_comparison_has_the_figures_of_the_readme() -> None:
     readme = (ROOT / "README.md").read_text("utf-8")
     compared = " ".join((ROOT / "docs/compare.md").read_text("utf-8").split())
     for row, said in (
-        (r"against OctoMap [^|]*\| (\d+) times faster", "takes a {}th of its time"),
+        (r"against OctoMap [^|]*\| (\d+) times faster", "takes one {}th of its time"),
         (r"Table 1's sonar[^|]*\| (\d+) a second", "{} images a second"),
         (r"\| (\d+ to \d+) times faster, error under 2 %", "{} times faster than the times"),
     ):
