@@ -20,6 +20,7 @@ RUNS = 5
 
 _SCAN = """
 import json, sys, time
+from pathlib import Path
 import psutil
 begun = psutil.Process().create_time()
 laps = {}
@@ -36,7 +37,7 @@ names = ["scanning, with recording and scores"]
 def phase(name):
     lap(names[-1])
     names.append(name)
-result, _ = run_scan(config, __import__("pathlib").Path(sys.argv[1]), phase=phase)
+result, _ = run_scan(config, Path(sys.argv[1]), phase=phase)
 lap(names[-1])
 within = {f"  of it {name}": seconds for name, seconds in result.seconds.items()}
 print(json.dumps(laps | within))

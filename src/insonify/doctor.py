@@ -145,7 +145,6 @@ def _opengl() -> Finding:
             "OpenGL", "only --renderer opengl needs it", str(err), "see what it says, or leave it"
         )
     renderer = str(context.info["GL_RENDERER"])
-    context.release()
     return Finding("OpenGL", f"EGL, {renderer}" + ("" if _is_gpu(renderer) else " (no GPU)"))
 
 

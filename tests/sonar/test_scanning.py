@@ -98,6 +98,12 @@ def test_pings_together_are_those_one_by_one(
     assert next(many, None) is None
 
 
+def test_a_pose_without_its_angle_is_refused() -> None:
+    poses = [Pose(0.0, 0.0, -1.0)] * 3
+    with pytest.raises(ValueError, match="shorter"):
+        list(Sonar(DEVICE).pings(_room(), poses, heads_rad=[0.0, 0.1]))
+
+
 def test_each_ping_has_its_own_time_and_pose() -> None:
     turn = _turn(lambda time_s: Pose(time_s, 0.0, 0.0))
     times = np.array([one.ping.time_s for one in turn])

@@ -228,10 +228,15 @@ def _remove_empty(folders: list[Path]) -> None:
             folder.rmdir()
 
 
-def unused_folder(wanted: Path) -> Path:
-    """``wanted``, or the first of ``wanted-2``, ``wanted-3`` ... that does not exist."""
+def unused_folder(wanted: Path, or_one: Callable[[Path], bool] = lambda folder: False) -> Path:
+    """``wanted``, or the first of ``wanted-2``, ``wanted-3`` ... that does not exist.
+
+    Args:
+        wanted: The folder.
+        or_one: Says of one that does exist whether it will do.
+    """
     folder, number = wanted, 1
-    while os.path.lexists(folder):
+    while os.path.lexists(folder) and not or_one(folder):
         number += 1
         folder = wanted.with_name(f"{wanted.name}-{number}")
     return folder

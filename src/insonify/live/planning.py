@@ -67,7 +67,7 @@ class Pilot:
             return Answer(None, f"{self.sent} scans are planned, the most (entropy.max_scans)")
         decision = plan_next(mapper, geometry, box, pose, self.settings, self.waypoints)
         if decision.path is None or decision.look is None:
-            return Answer(None, decision.stop.sentence if decision.stop else "")
+            return Answer(None, decision.why_not or "")
         look = decision.look
         least = look.termination * look.cluster.entropy
         x_c, y_c, _ = look.cluster.centre_m

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 
@@ -65,20 +65,14 @@ def run_scan(
         OutputError: The folder exists, or cannot be written.
         InsonifyError: The config does not make a world that can be scanned.
     """
-    from insonify.results.recorder import recording
-
     text = config_to_toml(config, "scan")
     cut_short = is_interrupted(target, text)
     force |= cut_short
     with result_folder(target, force=force, job=text, progress=_recorded_bytes) as place:
         past = _going_on_after(place.before or (target if cut_short else None))
-        with _kept_if_stopped(place), recording(place.scratch) as record:
-
-            def each(run: Run, step: Step) -> None:
-                watch(run, step)
-                record(run, step)
-
-            run = execute(config, remembered=past, watch=each, should_stop=should_stop, pace=pace)
+        fly = partial(execute, config, remembered=past, should_stop=should_stop, pace=pace)
+        with _kept_if_stopped(place):
+            run = _recorded(place, watch, fly)
         result = _save_or_keep(run, place, phase)
     return result, place.target
 
@@ -101,13 +95,7 @@ def place_for(config: Config, wanted: Path) -> Path:
         wanted: The folder, or ``wanted-2``, ``wanted-3`` ... where there are others.
     """
     text = config_to_toml(config, "scan")
-    folder = unused_folder(wanted)
-    numbers = re.fullmatch(r".*-(\d+)", folder.name) if folder != wanted else None
-    tried = range(2, int(numbers[1])) if numbers is not None else ()
-    for one in (wanted, *(wanted.with_name(f"{wanted.name}-{k}") for k in tried)):
-        if is_interrupted(one, text):
-            return one
-    return folder
+    return unused_folder(wanted, or_one=lambda folder: is_interrupted(folder, text))
 
 
 def is_interrupted(folder: Path, config_toml: str) -> bool:
@@ -146,18 +134,25 @@ def run_scan_by(
 
     What a kill breaks off is not gone on with.
     """
+    with result_folder(target, force=force) as place:
+        fly = partial(execute, config, planner, should_stop=should_stop, pace=pace)
+        result = save_scan(_recorded(place, watch, fly), place.scratch)
+    return result, place.target
+
+
+def _recorded(
+    place: ResultFolder, watch: Callable[[Run, Step], None], fly: Callable[..., Run]
+) -> Run:
+    """A run whose steps are recorded, and watched."""
     from insonify.results.recorder import recording
 
-    with result_folder(target, force=force) as place:
-        with recording(place.scratch) as record:
+    with recording(place.scratch) as record:
 
-            def each(run: Run, step: Step) -> None:
-                watch(run, step)
-                record(run, step)
+        def each(run: Run, step: Step) -> None:
+            watch(run, step)
+            record(run, step)
 
-            run = execute(config, planner, watch=each, should_stop=should_stop, pace=pace)
-        result = save_scan(run, place.scratch)
-    return result, place.target
+        return fly(watch=each)
 
 
 def _recorded_bytes(folder: Path) -> int:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from itertools import islice, repeat
+from itertools import islice
 
 import numpy as np
 
@@ -99,8 +99,8 @@ class Sonar:
         poses: Iterable[Pose],
         rng: np.random.Generator | None = None,
         *,
-        heads_rad: Iterable[float] = repeat(0.0),
-        times_s: Iterable[float] = repeat(0.0),
+        heads_rad: Iterable[float] | None = None,
+        times_s: Iterable[float] | None = None,
     ) -> Iterator[Ping]:
         """Images from many poses, as they are asked for: the same as `ping` gives one by one.
 
@@ -110,11 +110,17 @@ class Sonar:
             scene: What is there.
             poses: Where the vehicle is at each ping.
             rng: Where the noise comes from; without it every ping draws the same, of seed 0.
-            heads_rad: How far to the left the head of a scanning sonar is turned at each.
-            times_s: When each one's sound is sent.
+            heads_rad: How far to the left the head of a scanning sonar is turned at each; 0.
+            times_s: When each one's sound is sent; 0.
+
+        Raises:
+            ValueError: There are more or fewer angles or times than poses.
         """
+        poses = list(poses)
+        heads_rad = [0.0] * len(poses) if heads_rad is None else heads_rad
+        times_s = [0.0] * len(poses) if times_s is None else times_s
         together = max(1, _PIXELS_TOGETHER // (self.device.beams * self.device.bins))
-        moments = zip(poses, heads_rad, times_s, strict=False)
+        moments = zip(poses, heads_rad, times_s, strict=True)
         while several := list(islice(moments, together)):
             places = [pose for pose, _, _ in several]
             fans = [self.device.geometry_at(head_rad) for _, head_rad, _ in several]
@@ -202,9 +208,7 @@ class Sonar:
             Law.LAMBERT,
             edge_db=self.physical.edge_db,
             lobes_edge_rad=self._edge_rad if self.physical.elevation_lobes else 0.0,
-            surface=10.0 ** (self.physical.surface_db / 10.0)
-            if self.physical.surface_db > -200.0
-            else 0.0,
+            surface=self.physical.surface,
             second_bounce=self.physical.second_bounce,
             surface_mirror=self.physical.surface_mirror,
         )

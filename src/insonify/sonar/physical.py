@@ -97,6 +97,11 @@ class PhysicalSettings(Settings):
         False, description="echoes by way of the water's surface at z = 0 (Embree only)"
     )
 
+    @property
+    def surface(self) -> float:
+        """Lambert's coefficient of the water's surface, seen from below."""
+        return 0.0 if self.surface_db <= -200.0 else float(10.0 ** (self.surface_db / 10.0))
+
 
 @dataclass(frozen=True, slots=True)
 class Receiver:

@@ -126,8 +126,8 @@ def _whereabouts(moment: Moment) -> str:
 def reasons(decision: Decision) -> str:
     """Why a scan was chosen, or none: what each candidate would show."""
     text = ""
-    if decision.stop is not None:
-        text += f"<p><b>Stop.</b> {html.escape(decision.stop.sentence)}</p>"
+    if decision.why_not is not None:
+        text += f"<p><b>Stop.</b> {html.escape(decision.why_not)}</p>"
     if decision.look is not None:
         look = decision.look
         share = look.h_cluster / look.cluster.entropy
