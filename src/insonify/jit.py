@@ -33,7 +33,7 @@ KERNELS: list[Any] = []
 
 _log = logging.getLogger(__name__)
 _PACKAGE = Path(__file__).parent
-_CONSTANTS = ("mapping/store.py", "mapping/voxels.py", "vehicle/model.py")
+_CONSTANTS = ("mapping/store.py", "mapping/voxels.py", "mapping/extracts.py", "vehicle/model.py")
 """Files without kernels whose constants kernels take."""
 _PREFIX = "kernels-"
 _KEPT_S = 7 * 24 * 3600.0

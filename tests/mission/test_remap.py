@@ -13,7 +13,7 @@ from benchmarks import samples
 from typer.testing import CliRunner
 
 from insonify.cli import app
-from insonify.errors import ConfigError, GeometryError, MemoryLimitError, RecordingError
+from insonify.errors import ConfigError, MemoryLimitError, RecordingError
 from insonify.io.maps import save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.arrays import save_arrays
@@ -26,7 +26,7 @@ from insonify.mission.run import execute
 from insonify.mission.setup import scenario_config
 from insonify.planning.once import clearance_m, plan_next, turns_of
 from insonify.report.map_html import write_map_report
-from insonify.results.map import load_mapper
+from insonify.results.map import MapConfig, load_mapper, save_remap
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing, ScanPath
 
 STARBOARD_FIRST = Reading(beams="starboard-to-port")
@@ -90,12 +90,26 @@ def test_poses_of_another_time_are_told_from_none(tmp_path: Path) -> None:
 def test_what_would_not_fit_is_refused_before_it_is_mapped(rng: np.random.Generator) -> None:
     with pytest.raises(MemoryLimitError, match="--voxel"):
         map_recordings([_recording(_pings(rng))], MappingSettings(voxel_m=1e-4))
-    with pytest.raises(GeometryError, match="--region"):
-        map_recordings(
-            [_recording(_pings(rng))],
-            MappingSettings(),
-            Box((-1e3, -1e3, -1e3), (1e3, 1e3, 1e3)),
-        )
+
+
+def test_a_region_however_large_is_counted_and_drawn(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    pings = _pings(rng)
+    small, huge = (
+        map_recordings([_recording(pings)], MappingSettings(), Box((-e,) * 3, (e,) * 3))
+        for e in (8.0, 5e5)
+    )
+    near, far = small.result().region, huge.result().region
+    assert (far["in_view"], far["occupied"]) == (near["in_view"], near["occupied"])
+    assert far["voxels"] == 10_000_000**3
+    unseen = far["voxels"] - near["voxels"]  # of one bit each
+    assert far["entropy_bits"] == pytest.approx(near["entropy_bits"] + unseen, rel=1e-15)
+    window = huge.mapper.voxels.overview(huge.region)
+    assert window.occupied.sum() > 0 and window.log_odds.size < 150_000_000
+    save_remap(huge, tmp_path, MapConfig())
+    assert not (tmp_path / "entropy.npz").exists() and (tmp_path / "report.html").is_file()
+    assert (tmp_path / "map.npz").is_file()
 
 
 def test_the_report_of_an_empty_sea(tmp_path: Path, rng: np.random.Generator) -> None:

@@ -9,7 +9,8 @@ import typer
 
 from insonify.cli.printing import say, say_json
 from insonify.cli.progress import begin, progress
-from insonify.cli.root import JsonOption, app, datum_from_text
+from insonify.cli.recordings import box_from_text
+from insonify.cli.root import JsonOption, MemoryOption, app, datum_from_text, memory_limit
 from insonify.errors import OutputError
 
 if TYPE_CHECKING:
@@ -36,6 +37,11 @@ def export(
             metavar="'LAT LON'", help="Where the origin lies, degrees (WGS 84); for .tif."
         ),
     ] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(metavar="'X0 Y0 Z0 X1 Y1 Z1'", help="Only the blocks that touch this box."),
+    ] = None,
+    memory: MemoryOption = None,
     epsg: Annotated[
         int | None,
         typer.Option(
@@ -55,9 +61,12 @@ def export(
     if target.suffix == RERUN:
         if place is not None or epsg is not None:
             raise OutputError(f"{target.name}: only a GeoTIFF (.tif) takes a datum or EPSG code")
+        if region is not None or memory is not None:
+            raise OutputError(f"{target.name}: --region and --memory are for maps, not for a run")
         voxels = _to_rerun(source, target, force)
     else:
-        voxels = load_map(source)
+        box = None if region is None else box_from_text(region)
+        voxels = load_map(source, box, memory_bytes=memory_limit(memory))
         with result_file(target, force=force) as scratch:
             save_map(voxels, scratch, datum=place, epsg=epsg)
     files = [path for path in (target, *target.rglob("*")) if path.is_file()]
@@ -65,8 +74,8 @@ def export(
         "file": str(target),
         "bytes": sum(path.stat().st_size for path in files),
         "voxel_m": voxels.voxel_m,
-        "observed_voxels": int(((voxels.seen & OBSERVED) > 0).sum()),
-        "occupied_voxels": int((voxels.log_odds > 0).sum()),
+        "observed_voxels": voxels.count(lambda part: (part.seen & OBSERVED) > 0),
+        "occupied_voxels": voxels.count(lambda part: part.log_odds > 0),
     }
     if as_json:
         say_json(row)

@@ -15,9 +15,11 @@ from insonify.cli.progress import begin
 from insonify.cli.root import (
     EXIT_NOTHING,
     JsonOption,
+    MemoryOption,
     SetOption,
     app,
     datum_from_text,
+    memory_limit,
     single_layers,
 )
 from insonify.cli.words import plan_rows
@@ -63,6 +65,7 @@ def plan(
         typer.Option(metavar="NAME|FILE.toml", help="By default the one beside the map."),
     ] = None,
     region: RegionOption = None,
+    memory: MemoryOption = None,
     datum: DatumOption = None,
     clearance: Annotated[
         float | None,
@@ -96,6 +99,7 @@ def plan(
     """Plan the next scan path from a map: where it would resolve most of what is undecided."""
     from insonify.cli.recordings import box_from_text
     from insonify.io.folders import result_file, result_folder
+    from insonify.io.maps import map_file
     from insonify.io.mavlink import upload_mission
     from insonify.io.plans import qgroundcontrol, save_plan
     from insonify.planning.once import plan_next, turns_of
@@ -105,8 +109,8 @@ def plan(
     begin("reading the map")
     told, place = _pose(from_), _place(datum, out, upload)
     entropy = entropy_settings(settings)
-    file = map_ / "map.npz" if map_.is_dir() and map_.suffix != ".zarr" else map_
-    mapper = load_mapper(map_)
+    file = map_file(map_)
+    mapper = load_mapper(map_, memory_limit(memory))
     device = _device(file, sonar)
     origin_m = mapper.voxels.origin_m
     pose = told.relative_to(origin_m)

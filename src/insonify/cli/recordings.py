@@ -17,12 +17,14 @@ from insonify.cli.root import (
     ConfigOption,
     JsonOption,
     MapperOption,
+    MemoryOption,
     SetOption,
     absolute,
     app,
     choices,
     file_layers,
     interruptible,
+    memory_limit,
     print_report,
     single_layers,
 )
@@ -107,6 +109,7 @@ def map_(
     voxel: VoxelOption = None,
     threshold: ThresholdOption = None,
     region: RegionOption = None,
+    memory: MemoryOption = None,
     reading: Any = None,
     settings: SetOption = None,
     config: ConfigOption = None,
@@ -117,9 +120,8 @@ def map_(
     begin("starting")
     from insonify.io.folders import result_folder
     from insonify.io.recordings import open_recording
-    from insonify.mapping.factory import make_mapper
     from insonify.mission.remap import echo_threshold, map_recordings
-    from insonify.results.map import save_remap
+    from insonify.results.map import mapper_for, save_remap
 
     full = map_config(voxel, absolute(mapper), settings, config)
     if threshold is not None and threshold != "auto":
@@ -129,12 +131,13 @@ def map_(
         if threshold == "auto":
             full = _with_threshold(full, str(echo_threshold(recordings)))
             tell(f"Threshold: {full.mapping.pixel_threshold} of 255")
+        mapper_used = mapper_for(full, place.scratch, memory_limit(memory))
         with _progress() as watch:
             remap = map_recordings(
                 recordings,
                 full.mapping,
                 box_from_text(region) if region is not None else None,
-                mapper=make_mapper(full.mapper, full.mapping, full.mapper_options),
+                mapper=mapper_used,
                 watch=watch,
                 should_stop=interrupted,
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -65,6 +66,15 @@ ModelOption = Annotated[str | None, typer.Option(help="cerqueira or physical.", 
 RangeOption = Annotated[
     float | None,
     typer.Option("--range", metavar="M", help="Greatest range, instead of the device's own."),
+]
+MemoryOption = Annotated[
+    str | None,
+    typer.Option(
+        "--memory",
+        metavar="SIZE",
+        help="Of the map, keep no more than this in memory, as in 500MB or 2GB, and the rest on "
+        "disk.",
+    ),
 ]
 SearchOption = Annotated[
     list[Path] | None,
@@ -197,6 +207,21 @@ def datum_from_text(text: str) -> Datum:
             f"'41.5 -71.3 0', not {text!r}"
         )
     return Datum(*numbers)
+
+
+def memory_limit(text: str | None) -> int | None:
+    """The bytes of a --memory, if there is one.
+
+    Raises:
+        ConfigError: It is no size.
+    """
+    if text is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kMGT]?)(i?)B?\s*", text)
+    if found is None:
+        raise ConfigError(f"--memory takes a size, as in 500MB or 2GB, not {text!r}")
+    number, prefix, binary = found.groups()
+    return int(float(number) * (1024 if binary else 1000) ** " kMGT".index(prefix or " "))
 
 
 def print_report(folder: Path) -> None:

@@ -12,7 +12,14 @@ from insonify.cli.printing import say_json, tell
 from insonify.cli.progress import begin, progress
 from insonify.cli.reading import takes_reading
 from insonify.cli.recordings import RegionOption, VoxelOption, box_from_text, map_config
-from insonify.cli.root import JsonOption, SetOption, app, interruptible
+from insonify.cli.root import (
+    JsonOption,
+    MemoryOption,
+    SetOption,
+    app,
+    interruptible,
+    memory_limit,
+)
 
 if TYPE_CHECKING:
     from insonify.view.page import Page
@@ -30,6 +37,7 @@ def view(
     settings: SetOption = None,
     region: RegionOption = None,
     voxel: VoxelOption = None,
+    memory: MemoryOption = None,
     reading: Any = None,
     host: HostOption = "127.0.0.1",
     port: PortOption = 8080,
@@ -41,7 +49,7 @@ def view(
 
     server = Server(host, port)
     address = f"View: {server.url}  (Ctrl-C ends it)"
-    plain = path.exists() and settings is None and voxel is None and region is None
+    plain = path.exists() and all(option is None for option in (settings, voxel, region, memory))
     try:
         if plain and not as_json:  # at once, as what follows takes a second to import
             tell(address, flush=True)
@@ -51,7 +59,7 @@ def view(
 
         how = map_config(voxel, None, settings)
         box = box_from_text(region) if region is not None else None
-        told = open_story(path, reading, how, box)
+        told = open_story(path, reading, how, box, memory_limit(memory))
         page = Page(told.story, server=server)
     except BaseException:
         server.close()

@@ -24,6 +24,7 @@ from insonify.io.scratch import Scratch
 RESULT = "result.json"
 PARTS = (
     "map.npz",
+    "map.zarr",
     "map.ply",
     "mapper.npz",
     "entropy.npz",

@@ -19,9 +19,9 @@ from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.bags import BagMessage
 from insonify.live.planning import Answer, Pilot
 from insonify.live.session import Event, Finished, Heard, Session
-from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds, touching
+from insonify.mapping.voxels import Blocks, VoxelMap, Voxels, probability_from_log_odds
 from insonify.planning.entropy import binary_entropy
-from insonify.types import Array, Bool, Box, Float32, Float64, Int32, Pose
+from insonify.types import Array, Bool, Box, Float64, Pose
 
 MAP, ENTROPY, PATH = "/insonify/map", "/insonify/entropy", "/insonify/path"
 REQUEST, DIAGNOSTICS = "/insonify/request", "/diagnostics"
@@ -170,10 +170,8 @@ def occupied_near(voxels: VoxelMap, pose: Pose | None, radius_m: float) -> Float
     """Occupied voxels around a pose (N, 4): x, y, z in the world, probability."""
     if pose is None:
         return np.zeros((0, 4))
-    coords, log_odds, _ = _blocks_near(voxels, pose, radius_m)
-    mask = log_odds > 0.0
-    values = probability_from_log_odds(log_odds[mask])
-    return _rows(voxels, coords, mask, values, pose, radius_m)
+    occupied = voxels.select(box=_around(pose, radius_m))
+    return _rows(voxels, occupied, probability_from_log_odds(occupied.log_odds), pose, radius_m)
 
 
 def undecided_near(
@@ -182,24 +180,21 @@ def undecided_near(
     """Voxels in view of high entropy around a pose (N, 4): x, y, z in the world, bits."""
     if pose is None:
         return np.zeros((0, 4))
-    coords, log_odds, seen = _blocks_near(voxels, pose, radius_m)
-    bits = binary_entropy(probability_from_log_odds(log_odds))
-    mask = (seen > 0) & (bits >= least_bits)
-    return _rows(voxels, coords, mask, bits[mask], pose, radius_m)
+
+    def doubtful(part: Blocks) -> Bool:
+        bits = binary_entropy(probability_from_log_odds(part.log_odds))
+        return np.asarray((part.seen > 0) & (bits >= least_bits), bool)
+
+    found = voxels.select(doubtful, _around(pose, radius_m))
+    bits = binary_entropy(probability_from_log_odds(found.log_odds))
+    return _rows(voxels, found, bits, pose, radius_m)
 
 
-def _blocks_near(voxels: VoxelMap, pose: Pose, radius_m: float) -> tuple[Int32, Float32, Array]:
-    """Places, log-odds and what was seen of the blocks that a box around a pose touches."""
-    box = Box.of(pose.position_m, pose.position_m).grown(radius_m)
-    near = touching(voxels.coords, voxels.block_m, box)
-    return voxels.coords[near], voxels.log_odds[near], voxels.seen[near]
+def _around(pose: Pose, radius_m: float) -> Box:
+    return Box.of(pose.position_m, pose.position_m).grown(radius_m)
 
 
-def _rows(
-    voxels: VoxelMap, coords: Int32, mask: Bool, values: Array, pose: Pose, radius_m: float
-) -> Float64:
-    row, cell = np.nonzero(mask)
-    within = np.column_stack(np.unravel_index(cell, (BLOCK, BLOCK, BLOCK)))
-    places = (coords[row] * BLOCK + within + 0.5) * voxels.voxel_m
+def _rows(voxels: VoxelMap, found: Voxels, values: Array, pose: Pose, radius_m: float) -> Float64:
+    places = voxels.centres_m(found)
     near = np.linalg.norm(places - pose.position_m, axis=1) <= radius_m
     return np.column_stack([places[near] + voxels.origin_m, values[near]])

@@ -53,13 +53,13 @@ class BayesMapper:
         blocks = blocks_in_fan(transform, geometry, self.voxels.block_m)
         # neighbours far apart in the list: two threads then share near and far blocks evenly
         blocks = np.ascontiguousarray(np.vstack([blocks[::2], blocks[1::2]]))
-        slots = self.voxels.allocate(blocks)
+        held = self.voxels.hold(blocks)
         echoes, first = count_echoes(ping.image, np.float32(self.settings.pixel_threshold / 255.0))
         _update(
-            slots,
+            held.slots,
             blocks,
-            self.voxels.log_odds,
-            self.voxels.seen,
+            held.log_odds,
+            held.seen,
             transform,
             fan_vector(geometry),
             self.voxels.voxel_m,

@@ -12,7 +12,7 @@ Nothing of it is from Park et al.; the Bayes update is `insonify.mapping.bayes`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -24,7 +24,15 @@ from insonify.mapping.mapper import MappingSettings, Shown
 from insonify.mapping.odds import DOUBTED, Evidence, odds_table, read_off
 from insonify.mapping.seabed import SeabedHeights
 from insonify.mapping.sight import before_the_first_occupied
-from insonify.mapping.store import BLOCK, VOXELS_PER_BLOCK, MemoryStore
+from insonify.mapping.store import (
+    BLOCK,
+    VOXELS_PER_BLOCK,
+    Blocks,
+    Held,
+    MemoryStore,
+    Order,
+    Touches,
+)
 from insonify.mapping.visibility import EVER_LIT, LOOKED_AT, ROWS, count_pixels, look, vote
 from insonify.mapping.voxels import VoxelMap
 from insonify.mapping.witness import Witness
@@ -239,6 +247,8 @@ def _even(extent: float, count: int) -> Float64:
 class _Derived:
     """The map's own voxels, read off those inside when they are asked for (a `BlockStore`)."""
 
+    in_memory = True
+
     def __init__(self, inside: int, fine: MemoryStore, papers: VoxelMap) -> None:
         self._inside, self._fine, self._papers = inside, fine, papers
         self.views = np.zeros(0, np.uint16)
@@ -272,13 +282,35 @@ class _Derived:
         """(blocks, 512) uint8."""
         return self._fresh().seen
 
+    @property
+    def count(self) -> int:
+        """How many blocks there are."""
+        return self._store.count
+
+    @property
+    def bits(self) -> int:
+        """All that any voxel was seen as."""
+        return self._fresh().bits
+
     def allocate(self, coords: Int32) -> Int64:
         """Refused: these voxels are read off others."""
+        raise TypeError("the voxels of a carved map are read off those inside it")
+
+    def hold(self, coords: Int32) -> Held:
+        """Refused, as `allocate`."""
         raise TypeError("the voxels of a carved map are read off those inside it")
 
     def find(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
         return self._store.find(coords)
+
+    def read(self, coords: Int32) -> Blocks:
+        """Copies of blocks (N, 3); zeros for those that do not exist."""
+        return self._fresh().read(coords)
+
+    def parts(self, touches: Touches | None = None, order: Order = "any") -> Iterator[Blocks]:
+        """All blocks, or those of interest."""
+        return self._fresh().parts(touches, order)
 
     def read_one(self, voxel: tuple[int, int, int]) -> float:
         """Log-odds of a voxel, of all the map its column of blocks alone read off anew."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from insonify.errors import ConfigError
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.carving import CarvingMapper
 from insonify.mapping.mapper import Mapper, MappingSettings
-from insonify.mapping.voxels import BYTES_PER_VOXEL
+from insonify.mapping.voxels import BYTES_PER_VOXEL, VoxelMap
 from insonify.plugins import check_name, load_plugin, made
 
 MAPPERS: dict[str, Callable[[MappingSettings], Mapper]] = {
@@ -51,6 +52,25 @@ def check_mapper(name: str, options: Mapping[str, Any] | None = None) -> None:
         ConfigError: It is neither, or a known one is given options.
     """
     check_name("mapper", name, MAPPERS, options)
+
+
+def map_into(mapper: Mapper, voxels: VoxelMap) -> None:
+    """Have a mapper that has mapped nothing yet use a map that is kept elsewhere.
+
+    Raises:
+        ConfigError: It keeps more than its map, in memory.
+    """
+    if mapper.name in _INSIDE:
+        raise ConfigError(
+            f"mapper {mapper.name!r} keeps more than its map, in memory; leave --memory out, or "
+            "give --mapper bayes"
+        )
+    mapper.voxels = voxels
+    if mapper.voxels is not voxels:
+        raise ConfigError(
+            f"mapper {mapper.name!r} cannot be given a map (its voxels cannot be set); leave "
+            "--memory out"
+        )
 
 
 _GROWTH = 3

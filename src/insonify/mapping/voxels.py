@@ -8,7 +8,8 @@ voxel's indices are ``floor(position / voxel_m)`` in the world frame; a block is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +18,26 @@ from insonify import memory
 from insonify.display import Told
 from insonify.errors import MemoryLimitError
 from insonify.extras import optional
+from insonify.mapping.extracts import (
+    IN_VIEW,
+    OBSERVED,
+    SURFACE,
+    Voxels,
+    VoxelWindow,
+    copy_blocks,
+    picked,
+    probability_from_log_odds,
+    surface_of,
+)
 from insonify.mapping.store import (
     BLOCK,
     BYTES_PER_VOXEL,
     VOXELS_PER_BLOCK,
+    Blocks,
     BlockStore,
+    Held,
     MemoryStore,
+    Order,
     cell_of,
 )
 from insonify.types import Bool, Box, Float32, Float64, Int32, Int64
@@ -36,72 +51,39 @@ __all__ = [
     "BYTES_PER_VOXEL",
     "FARTHEST_BLOCK",
     "IN_VIEW",
+    "MOST_DENSE",
     "OBSERVED",
     "SURFACE",
     "VOXELS_PER_BLOCK",
+    "Blocks",
     "VoxelMap",
     "VoxelWindow",
+    "Voxels",
+    "picked",
     "probability_from_log_odds",
     "surface_of",
     "touching",
 ]
 
 FARTHEST_BLOCK = 1_000_000
-IN_VIEW = 1
-OBSERVED = 2
-SURFACE = 4
+MOST_DENSE = 150_000_000
+"""Voxels of a dense copy for pictures."""
 _DENSE_BYTES = 17
 """Of a voxel in `VoxelMap.to_xarray`, while it is made."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VoxelWindow:
-    """A dense copy of a box of voxels, indexed [x, y, z].
-
-    Attributes:
-        first: World index of voxel [0, 0, 0].
-        voxel_m: Edge length.
-        log_odds: (nx, ny, nz) float32; 0 where nothing is known.
-        seen: (nx, ny, nz) uint8, bits IN_VIEW, OBSERVED and SURFACE.
-        marked: Whether the map tells surface from solid, by SURFACE.
-    """
-
-    first: tuple[int, int, int]
-    voxel_m: float
-    log_odds: Float32
-    seen: np.ndarray
-    marked: bool = False
-
-    @property
-    def probability(self) -> Float32:
-        """Occupancy probability p(m) of every voxel; 0.5 where nothing is known."""
-        return probability_from_log_odds(self.log_odds)
-
-    @property
-    def occupied(self) -> Bool:
-        """Voxels more likely occupied than not."""
-        occupied: Bool = self.log_odds > 0.0
-        return occupied
-
-    @property
-    def surface(self) -> Bool:
-        """Voxels that the surface of an object passes through.
-
-        See `surface_of`.
-        """
-        return surface_of(self.log_odds, self.seen, self.marked)
-
-    def centres_m(self, mask: Bool) -> Float64:
-        """World coordinates (N, 3) of the centres of the masked voxels, in x, y, z order."""
-        index = np.argwhere(mask) + self.first
-        return (index.astype(np.float64) + 0.5) * self.voxel_m
+_PICKED_BYTES = 64
+"""Of a voxel in `VoxelMap.select`, and in what is commonly made of it."""
 
 
 class VoxelMap(Told):
     """Blocks of voxels, allocated when first touched.
 
+    `parts`, `select`, `count`, `read`, `window` and what builds on them work however large the map
+    is; `coords`, `log_odds` and `seen` give all of it at once, and are there only of a map that is
+    kept in memory.
+
     Attributes:
         voxel_m: Edge length of a voxel.
+        store: Where its blocks are kept.
         origin_m: Where the map's own frame lies in the world, so that small numbers do for places
             far away: all that a map takes and tells is relative to it.
     """
@@ -123,12 +105,17 @@ class VoxelMap(Told):
             raise ValueError(f"voxel_m must be positive and finite, not {voxel_m}")
         self.voxel_m = voxel_m
         self.origin_m = origin_m
-        self._store: BlockStore = MemoryStore() if store is None else store
+        self.store: BlockStore = MemoryStore() if store is None else store
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether all of it is kept in memory."""
+        return self.store.in_memory
 
     @property
     def block_count(self) -> int:
         """How many blocks are allocated."""
-        return len(self._store.coords)
+        return self.store.count
 
     @property
     def block_m(self) -> float:
@@ -138,22 +125,27 @@ class VoxelMap(Told):
     @property
     def coords(self) -> Int32:
         """Block indices (blocks, 3), in order of allocation."""
-        return self._store.coords
+        return self.store.coords
 
     @property
     def log_odds(self) -> Float32:
         """Log-odds of all voxels, (blocks, 512), x outermost; a view, so kernels may write it."""
-        return self._store.log_odds
+        return self.store.log_odds
 
     @property
     def seen(self) -> np.ndarray:
         """IN_VIEW and OBSERVED bits of all voxels, (blocks, 512) uint8; a view."""
-        return self._store.seen
+        return self.store.seen
+
+    @property
+    def bits(self) -> int:
+        """All that any voxel was seen as: IN_VIEW, OBSERVED and SURFACE."""
+        return self.store.bits
 
     @property
     def marked(self) -> bool:
         """Whether the mapper tells surface from solid."""
-        return bool((self.seen & SURFACE).any())
+        return bool(self.bits & SURFACE)
 
     @property
     def surface(self) -> Bool:
@@ -162,59 +154,162 @@ class VoxelMap(Told):
 
     def allocate(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3), making those that are new."""
-        return self._store.allocate(coords)
+        return self.store.allocate(coords)
 
     def find(self, coords: Int32) -> Int64:
         """Slots of blocks (N, 3); -1 for blocks that do not exist."""
-        return self._store.find(coords)
+        return self.store.find(coords)
+
+    def hold(self, coords: Int32) -> Held:
+        """Distinct blocks (N, 3) to be written, making those that are new."""
+        return self.store.hold(coords)
+
+    def read(self, coords: Int32) -> Blocks:
+        """Copies of blocks (N, 3); zeros for those that do not exist."""
+        return self.store.read(coords)
+
+    def parts(self, box: Box | None = None, order: Order = "any") -> Iterator[Blocks]:
+        """All blocks, or those that a box touches, as many at a time as memory is given to them.
+
+        They are not to be written, and hold until the next part is asked for.
+        """
+        if box is None:
+            return self.store.parts(None, order)
+        block_m = self.block_m
+        return self.store.parts(lambda cubes, edge: touching(cubes, edge * block_m, box), order)
+
+    def count(self, pick: Callable[[Blocks], Bool]) -> int:
+        """How many voxels are picked, (N, 512) of each part."""
+        return sum(int(np.count_nonzero(pick(part))) for part in self.parts())
+
+    def select(
+        self, pick: Callable[[Blocks], Bool] = lambda part: part.log_odds > 0.0,
+        box: Box | None = None,
+    ) -> Voxels:  # fmt: skip
+        """The voxels that are picked, by default those more likely occupied than not.
+
+        Args:
+            pick: Which voxels (N, 512) of some blocks.
+            box: Only the blocks that touch it are looked at; by default all.
+
+        Raises:
+            MemoryLimitError: They are too many.
+        """
+        found: list[Voxels] = []
+        for part in self.parts(box):
+            found.append(picked(part, pick(part)))
+            needed = float(_PICKED_BYTES * len(found[-1].index))
+            if not memory.fits(needed):
+                raise MemoryLimitError(
+                    f"so many voxels of this map need {memory.shortage(needed)}; take a part of it "
+                    "(--region)"
+                )
+        none = Voxels(np.empty((0, 3), np.int64), np.empty(0, np.float32), np.empty(0, np.uint8))
+        if len(found) == 1:
+            return found[0]
+        found = found or [none]
+        return Voxels(
+            np.concatenate([some.index for some in found]),
+            np.concatenate([some.log_odds for some in found]),
+            np.concatenate([some.seen for some in found]),
+        )
 
     def at(self, voxel: tuple[int, int, int]) -> tuple[float, int]:
         """Log-odds and the bits of what was seen of a voxel by its index; 0, 0 if it has none."""
         index = np.asarray(voxel)
-        slot = int(self.find((index // BLOCK).astype(np.int32)[None])[0])
-        if slot < 0:
-            return 0.0, 0
+        block = self.read((index // BLOCK).astype(np.int32)[None])
         cell = cell_of(index)
-        return float(self.log_odds[slot, cell]), int(self.seen[slot, cell])
+        return float(block.log_odds[0, cell]), int(block.seen[0, cell])
 
     def occupied_m(self, box: Box | None = None) -> Float64:
         """Centres (N, 3) of voxels more likely occupied than not, world frame.
 
         Args:
             box: Only those of the blocks that touch it are looked at; by default all.
+
+        Raises:
+            MemoryLimitError: They are too many.
         """
-        coords, log_odds = self.coords, self.log_odds
-        if box is not None:
-            near = touching(coords, self.block_m, box)
-            coords, log_odds = coords[near], log_odds[near]
-        row, voxel = np.nonzero(log_odds > 0.0)
-        within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-        index = coords[row] * BLOCK + within
-        return (index.astype(np.float64) + 0.5) * self.voxel_m
+        return self.centres_m(self.select(box=box))
+
+    def centres_m(self, voxels: Voxels) -> Float64:
+        """Centres (N, 3) of voxels, in the map's own frame."""
+        return np.asarray((voxels.index + 0.5) * self.voxel_m, np.float64)
 
     def around_occupied(self) -> Box:
         """The occupied voxels and a block around them; all of the map if none is occupied.
 
         An empty map gives the block at the origin.
         """
-        occupied = self.occupied_m()
-        if len(occupied):
-            return Box.of(occupied.min(axis=0), occupied.max(axis=0)).grown(self.block_m)
-        coords = self.coords if self.block_count else np.zeros((1, 3), np.int32)
+        corners: list[Int64] = []
+        for part in self.parts():
+            index = picked(part, part.log_odds > 0.0).index
+            if len(index):
+                corners += [index.min(axis=0), index.max(axis=0)]
+        if corners:
+            low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+            return Box.of((low + 0.5) * self.voxel_m, (high + 0.5) * self.voxel_m).grown(
+                self.block_m
+            )
+        coords = self.store.coords if self.block_count else np.zeros((1, 3), np.int32)
         low, high = coords.min(axis=0), coords.max(axis=0) + 1
         return Box.of(low * self.block_m, high * self.block_m)
 
+    def span(self, box: Box) -> tuple[Int64, Int64]:
+        """Indices of the voxels whose centres lie in a box: the first, and the first beyond."""
+        low = np.ceil(np.asarray(box.low_m) / self.voxel_m - 0.5 - 1e-9).astype(np.int64)
+        high = np.floor(np.asarray(box.high_m) / self.voxel_m - 0.5 + 1e-9).astype(np.int64) + 1
+        return low, np.maximum(low, high)
+
+    def inside(self, coords: Int32, box: Box) -> Bool:
+        """Which voxels (N, 512) of blocks (N, 3) have their centres in a box."""
+        low, high = self.span(box)
+        along = coords.astype(np.int64)[:, :, None] * BLOCK + np.arange(BLOCK)
+        x, y, z = ((along >= low[:, None]) & (along < high[:, None])).transpose(1, 0, 2)
+        within = x[:, :, None, None] & y[:, None, :, None] & z[:, None, None, :]
+        return np.asarray(within.reshape(-1, VOXELS_PER_BLOCK), bool)
+
     def window(self, box: Box) -> VoxelWindow:
-        """A dense copy of the voxels whose centres lie in a box."""
-        low = np.ceil(np.asarray(box.low_m) / self.voxel_m - 0.5 - 1e-9).astype(int)
-        high = np.floor(np.asarray(box.high_m) / self.voxel_m - 0.5 + 1e-9).astype(int) + 1
-        shape = tuple(np.maximum(high - low, 0).tolist())
-        log_odds = np.zeros(shape, np.float32)
-        seen = np.zeros(shape, np.uint8)
-        if 0 not in shape:
-            self._copy_blocks(low, high, log_odds, seen)
+        """A dense copy of the voxels whose centres lie in a box.
+
+        Raises:
+            MemoryLimitError: It would not fit into free memory.
+        """
+        low, high = self.span(box)
+        self._check_dense(box, BYTES_PER_VOXEL)
+        log_odds = np.zeros(high - low, np.float32)
+        seen = np.zeros(high - low, np.uint8)
+        if log_odds.size:
+            for part in self.parts(box):
+                copy_blocks(part, low, high, log_odds, seen)
         first = (int(low[0]), int(low[1]), int(low[2]))
         return VoxelWindow(first, self.voxel_m, log_odds, seen, self.marked)
+
+    def overview(self, box: Box) -> VoxelWindow:
+        """The same, coarser where it has more than `MOST_DENSE` voxels.
+
+        A voxel of it is then a cube of some blocks, and has the largest log-odds of their voxels,
+        and all that was seen of them.
+        """
+        count = math.prod(size / self.voxel_m for size in box.size_m)
+        if count <= MOST_DENSE:
+            return self.window(box)
+        blocks = 1
+        while count / (BLOCK * blocks) ** 3 > MOST_DENSE:
+            blocks *= 2
+        low, high = self.span(box)
+        low, high = low // (BLOCK * blocks), -(-high // (BLOCK * blocks))
+        log_odds = np.full(high - low, -np.inf, np.float32)
+        seen = np.zeros(high - low, np.uint8)
+        for part in self.parts(box):
+            cubes = part.coords // blocks - low
+            within = ((cubes >= 0) & (cubes < high - low)).all(axis=1)
+            at = tuple(cubes[within].T)
+            np.maximum.at(log_odds, at, part.log_odds[within].max(axis=1))
+            np.bitwise_or.at(seen, at, np.bitwise_or.reduce(part.seen[within], axis=1))
+        log_odds[log_odds == -np.inf] = 0.0
+        first = (int(low[0]), int(low[1]), int(low[2]))
+        return VoxelWindow(first, blocks * self.block_m, log_odds, seen, self.marked)
 
     def plot(self, axes: Axes | None = None, *, side: str = "above") -> Axes:
         """Draw the occupied voxels that are seen from a side, coloured by how near they are to it.
@@ -247,12 +342,7 @@ class VoxelMap(Told):
         """
         xarray = optional("xarray", "datasets", "to_xarray")
         box = self.around_occupied() if box is None else box
-        needed = _DENSE_BYTES * float(np.prod(np.divide(box.size_m, self.voxel_m)))
-        if not memory.fits(needed):
-            raise MemoryLimitError(
-                f"a dense copy of {' x '.join(f'{size:.3g}' for size in box.size_m)} m in voxels "
-                f"of {self.voxel_m:g} m would need {memory.shortage(needed)}; give a smaller box"
-            )
+        self._check_dense(box, _DENSE_BYTES)
         window = self.window(box)
         layers = {
             "probability": (window.probability, "occupancy probability"),
@@ -275,28 +365,14 @@ class VoxelMap(Told):
         )  # fmt: skip
         return found
 
-    def _copy_blocks(
-        self, low: np.ndarray, high: np.ndarray, log_odds: Float32, seen: np.ndarray
-    ) -> None:
-        corners = self.coords * BLOCK
-        touching = ((corners < high) & (corners + BLOCK > low)).all(axis=1)
-        for slot in np.flatnonzero(touching):
-            start = np.maximum(corners[slot], low)
-            stop = np.minimum(corners[slot] + BLOCK, high)
-            inside = tuple(map(slice, start - corners[slot], stop - corners[slot]))
-            target = tuple(map(slice, start - low, stop - low))
-            log_odds[target] = self.log_odds[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
-            seen[target] = self.seen[slot].reshape(BLOCK, BLOCK, BLOCK)[inside]
-
-
-def surface_of(log_odds: Float32, seen: np.ndarray, marked: bool) -> Bool:
-    """Voxels that the surface of an object passes through, any shape.
-
-    Those that the mapper has marked; a mapper that marks none in all the map, as the papers' does,
-    makes no difference between surface and what is occupied.
-    """
-    surface: Bool = (seen & SURFACE) > 0 if marked else log_odds > 0.0
-    return surface
+    def _check_dense(self, box: Box, bytes_per_voxel: int) -> None:
+        needed = bytes_per_voxel * float(np.prod(np.divide(box.size_m, self.voxel_m)))
+        if not memory.fits(needed):
+            raise MemoryLimitError(
+                f"a dense copy of {' x '.join(f'{size:.3g}' for size in box.size_m)} m in voxels "
+                f"of {self.voxel_m:g} m would need {memory.shortage(needed)}; give a smaller box "
+                "(--region)"
+            )
 
 
 def touching(coords: Int32, block_m: float, box: Box) -> Bool:
@@ -304,8 +380,3 @@ def touching(coords: Int32, block_m: float, box: Box) -> Bool:
     low_m = coords.astype(np.float64) * block_m
     inside = (low_m <= box.high_m) & (low_m + block_m >= box.low_m)
     return np.asarray(inside.all(axis=1), bool)
-
-
-def probability_from_log_odds(log_odds: Float32) -> Float32:
-    """P = 1 / (1 + exp(-l)), any shape."""
-    return (1.0 / (1.0 + np.exp(-log_odds))).astype(np.float32)

@@ -228,7 +228,7 @@ def explain_voxel(
         seen=seen,
         marked=saved.marked,
         replayed=replay.log_odds,
-        differing=_differing(mapper.voxels, saved),
+        differing=differing(mapper.voxels, saved),
         pings=replay.pings,
         glimpses=tuple(replay.glimpses),
     )
@@ -306,7 +306,7 @@ def _cut_out(ping: Ping, pixels: Pixels) -> Cutout:
     return Cutout(part.copy(), beam, cell, ping.geometry)
 
 
-def _differing(ours: VoxelMap, saved: VoxelMap) -> int:
+def differing(ours: VoxelMap, saved: VoxelMap) -> int:
     """How many voxels have other log-odds in one of two maps than in the other."""
     slots = ours.find(saved.coords)
     there = slots >= 0

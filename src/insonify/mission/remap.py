@@ -20,13 +20,18 @@ from insonify.io.recordings.summary import describe_fan
 from insonify.mapping.echoes import noise_threshold
 from insonify.mapping.factory import bytes_per_voxel, make_mapper
 from insonify.mapping.mapper import Mapper, MappingSettings, check_voxels
-from insonify.mapping.voxels import BLOCK, FARTHEST_BLOCK, VOXELS_PER_BLOCK
+from insonify.mapping.voxels import (
+    BLOCK,
+    FARTHEST_BLOCK,
+    VOXELS_PER_BLOCK,
+    VoxelMap,
+    probability_from_log_odds,
+)
 from insonify.mission.result import MapResult
-from insonify.planning.entropy import entropy_map
+from insonify.planning.entropy import binary_entropy
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing
 
 KEPT_PINGS = 6
-MOST_REGION_VOXELS = 150_000_000
 _ABOVE_WATER_M = 0.5
 """A vehicle that never comes lower is in doubt; at the surface it may well be less."""
 _FAR_M, _ORIGIN_STEP_M = 10_000.0, 1000.0
@@ -66,8 +71,8 @@ class Remap:
 
     def result(self) -> MapResult:
         """Its figures."""
-        window = self.mapper.voxels.window(self.region)
-        region = self.region.moved(self.mapper.voxels.origin_m)
+        voxels = self.mapper.voxels
+        region = self.region.moved(voxels.origin_m)
         return MapResult(
             mapper=self.mapper.name,
             recordings=tuple(self.sources),
@@ -76,17 +81,32 @@ class Remap:
             brightest_pixel=round(self.brightest, 6),
             fans=tuple(describe_fan(fan) for fan in self.fans),
             mapping=self.settings.model_dump(),
-            occupied_voxels=int((self.mapper.voxels.log_odds > 0.0).sum()),
-            origin_m=self.mapper.voxels.origin_m,
+            occupied_voxels=voxels.count(lambda part: part.log_odds > 0.0),
+            origin_m=voxels.origin_m,
             region_m=(region.low_m, region.high_m),
-            region={
-                "voxels": window.seen.size,
-                "in_view": int((window.seen > 0).sum()),
-                "occupied": int(window.occupied.sum()),
-                "entropy_bits": round(float(entropy_map(window).sum(dtype=np.float64)), 3),
-            },
+            region=_figures(voxels, self.region),
             seconds={name: round(value, 3) for name, value in self.seconds.items()},
         )
+
+
+def _figures(voxels: VoxelMap, region: Box) -> dict[str, float]:
+    """What is counted in a region; voxels that were never seen have an entropy of 1 bit."""
+    total = math.prod(int(size) for size in np.subtract(*voxels.span(region)[::-1]))
+    in_view = occupied = known = 0
+    bits: list[float] = []
+    for part in voxels.parts(region):
+        inside = voxels.inside(part.coords, region)
+        in_view += int(np.count_nonzero(inside & (part.seen > 0)))
+        occupied += int(np.count_nonzero(inside & (part.log_odds > 0.0)))
+        known += int(np.count_nonzero(inside))
+        entropy = binary_entropy(probability_from_log_odds(part.log_odds))
+        bits += np.where(inside, entropy, 0.0).sum(axis=1, dtype=np.float64).tolist()
+    return {
+        "voxels": total,
+        "in_view": in_view,
+        "occupied": occupied,
+        "entropy_bits": round(math.fsum([total - known, *bits]), 3),
+    }
 
 
 Watch = Callable[[Remap, Recording, int, PosedPing], None]
@@ -114,7 +134,6 @@ def map_recordings(
     Raises:
         RecordingError: A recording has no pose for any of its pings.
         MemoryLimitError: The map would not fit into the memory that is free.
-        GeometryError: The region is too large to show.
     """
     if mapper is None:
         mapper = make_mapper("bayes", settings)
@@ -130,24 +149,13 @@ def map_recordings(
 
 
 def settle_region(remap: Remap, region: Box | None) -> None:
-    """Say where a map's entropy is counted, by default around what is occupied.
-
-    Raises:
-        GeometryError: The region is too large to show.
-    """
-    if not (remap.mapper.voxels.log_odds > 0.0).any():
+    """Say where a map's entropy is counted, by default around what is occupied."""
+    if not any((part.log_odds > 0.0).any() for part in remap.mapper.voxels.parts()):
         _warn_of_nothing(remap)
-    voxels, settings = remap.mapper.voxels, remap.settings
+    voxels = remap.mapper.voxels
     remap.region = (
         voxels.around_occupied() if region is None else region.relative_to(voxels.origin_m)
     )
-    count = math.prod(size / settings.voxel_m for size in remap.region.size_m)
-    if count > MOST_REGION_VOXELS:
-        size = " x ".join(f"{edge:.3g}" for edge in remap.region.size_m)
-        raise GeometryError(
-            f"the region of {size} m has {count:.3g} voxels of {settings.voxel_m:g} m, too many "
-            "to count its entropy; give a smaller one (--region) or larger voxels (--voxel)"
-        )
 
 
 def echo_threshold(recordings: Sequence[Recording]) -> int:
@@ -338,7 +346,7 @@ def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
     """Refuse what would not fit, before the next ping is mapped."""
     voxels, voxel_m = remap.mapper.voxels, remap.settings.voxel_m
     per_voxel = bytes_per_voxel(remap.mapper.name, remap.settings)
-    needed = float(voxels.block_count * VOXELS_PER_BLOCK * per_voxel)
+    needed = float(voxels.block_count * VOXELS_PER_BLOCK * per_voxel) if voxels.in_memory else 0.0
     if all(replace(fan, mount=geometry.mount) != geometry for fan in remap.fans):
         remap.fans.append(geometry)
         far, half = geometry.range_max_m, geometry.elevation_fov_rad / 2
@@ -348,6 +356,6 @@ def _check_memory(remap: Remap, geometry: FanGeometry) -> None:
         needed += (2 * far / (BLOCK * voxel_m)) ** 3 / 4 * 12  # the blocks that are looked at
     if not memory.fits(needed):
         raise MemoryLimitError(
-            f"a map of {voxel_m:g} m voxels needs {memory.shortage(needed)}; take larger voxels "
-            "(--voxel)"
+            f"a map of {voxel_m:g} m voxels needs {memory.shortage(needed)}; keep it on disk "
+            "(--memory), or take larger voxels (--voxel)"
         )

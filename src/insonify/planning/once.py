@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from insonify.mapping.mapper import Belief
-from insonify.mapping.voxels import VoxelMap
+from insonify.mapping.voxels import VoxelMap, picked
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.decision import Decision, SurveyArea
 from insonify.types import Box, FanGeometry, Float64, Nav, Pose, ScanPath
@@ -40,9 +40,21 @@ def plan_next(
 
 def clearance_m(voxels: VoxelMap, way: Sequence[Pose]) -> float:
     """Least distance of a way's straight legs to the surface of an occupied voxel."""
-    occupied = voxels.occupied_m()
-    nearest = min(_nearest_m(occupied, *leg) for leg in pairwise([*way, way[-1]]))
+    corners = np.array([pose.position_m for pose in way])
+    around = Box.of(corners.min(axis=0), corners.max(axis=0))
+    nearest = math.inf
+    for part in voxels.parts():
+        occupied = voxels.centres_m(picked(part, part.log_odds > 0.0))
+        if len(occupied) and _apart_m(around, occupied) < nearest:
+            legs = pairwise([*way, way[-1]])
+            nearest = min(nearest, *(_nearest_m(occupied, *leg) for leg in legs))
     return max(0.0, nearest - half_diagonal_m(voxels))
+
+
+def _apart_m(box: Box, points_m: Float64) -> float:
+    """How far points (N, 3) are from a box at least."""
+    low, high = points_m.min(axis=0), points_m.max(axis=0)
+    return math.hypot(*np.maximum(np.maximum(low - box.high_m, np.array(box.low_m) - high), 0.0))
 
 
 def half_diagonal_m(voxels: VoxelMap) -> float:

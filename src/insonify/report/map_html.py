@@ -19,7 +19,7 @@ def write_map_report(remap: Remap, path: Path) -> None:
     Raises:
         MissingExtraError: The packages for reports are not installed.
     """
-    window = remap.mapper.voxels.window(remap.region)
+    window = remap.mapper.voxels.overview(remap.region)
     result = remap.result()
     told = result.to_json()
     occupancy = map_pictures.draw_occupancy(window, remap.poses)

@@ -16,7 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from insonify.errors import GeometryError, ResultError
-from insonify.mapping.voxels import OBSERVED, VoxelMap
+from insonify.mapping.voxels import BYTES_PER_VOXEL, OBSERVED, VOXELS_PER_BLOCK, VoxelMap
 from insonify.mission.account import Account
 from insonify.mission.run import Run
 from insonify.mission.tables import HEADLINE, SETTING, Campaign, short, summarise_campaign
@@ -183,12 +183,13 @@ def _told(record: Any) -> tuple[str, Facts, Sequence[Facts], list[bytes]]:
 
 @_told.register
 def _map_told(record: VoxelMap) -> tuple[str, Facts, Sequence[Facts], list[bytes]]:
+    size_bytes = record.block_count * VOXELS_PER_BLOCK * BYTES_PER_VOXEL
     facts = {
         "voxel": f"{record.voxel_m:g} m",
-        "observed": f"{int(((record.seen & OBSERVED) > 0).sum()):,} voxels",
-        "occupied": f"{int((record.log_odds > 0).sum()):,} voxels",
+        "observed": f"{record.count(lambda part: (part.seen & OBSERVED) > 0):,} voxels",
+        "occupied": f"{record.count(lambda part: part.log_odds > 0):,} voxels",
         "occupied within": " x ".join(f"{size:.1f}" for size in _occupied_size_m(record)) + " m",
-        "memory": f"{(record.log_odds.nbytes + record.seen.nbytes) / 1e6:,.1f} MB",
+        "memory": f"{size_bytes / 1e6:,.1f} MB",
     }
     if any(record.origin_m):
         facts["origin"] = "({:,.1f}, {:,.1f}, {:,.1f}) m".format(*record.origin_m)

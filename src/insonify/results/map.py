@@ -12,11 +12,13 @@ from pydantic import Field
 from insonify.config.layers import read_layer
 from insonify.config.settings import Settings, validated
 from insonify.config.toml import to_toml
-from insonify.errors import MissingExtraError, ResultError
+from insonify.errors import MemoryLimitError, MissingExtraError, ResultError
 from insonify.io.folders import RESULT
 from insonify.io.maps import load_map, save_map, save_point_cloud
-from insonify.mapping.factory import make_mapper
+from insonify.io.maps.ondisk import TileStore
+from insonify.mapping.factory import make_mapper, map_into
 from insonify.mapping.mapper import Mapper, MappingSettings
+from insonify.mapping.voxels import MOST_DENSE, VoxelMap
 from insonify.mission.remap import Remap
 from insonify.mission.result import MapResult
 from insonify.planning.active import EntropySettings
@@ -36,6 +38,26 @@ class MapConfig(Settings):
     mapper_options: dict[str, Any] = Field({}, description="of a mapper of your own")
 
 
+def mapper_for(config: MapConfig, folder: Path, memory_bytes: int | None = None) -> Mapper:
+    """A mapper with an empty map, in memory or in a result's folder.
+
+    Args:
+        config: How it maps.
+        folder: Which exists.
+        memory_bytes: What the map's blocks may take in memory; the others are in ``map.zarr``.
+
+    Raises:
+        ConfigError: It cannot be had, or keeps more than its map.
+        MemoryLimitError: The memory is too little.
+        MissingExtraError: The package zarr is not installed.
+    """
+    mapper = make_mapper(config.mapper, config.mapping, config.mapper_options)
+    if memory_bytes is not None:
+        store = TileStore.new(folder / "map.zarr", memory_bytes)
+        map_into(mapper, VoxelMap(config.mapping.voxel_m, store))
+    return mapper
+
+
 def save_remap(remap: Remap, folder: Path, config: MapConfig) -> MapResult:
     """Write a map made of recordings into a folder that exists.
 
@@ -45,22 +67,39 @@ def save_remap(remap: Remap, folder: Path, config: MapConfig) -> MapResult:
     voxels, result = remap.mapper.voxels, remap.result()
     save_result(result, folder)
     (folder / CONFIG).write_text(to_toml(config, "How this map was made"), encoding="utf-8")
-    save_map(voxels, folder / "map.npz")
+    if isinstance(voxels.store, TileStore):
+        voxels.store.settle(voxels.voxel_m, voxels.origin_m)
+    else:
+        save_map(voxels, folder / "map.npz")
     save_mapper(remap.mapper, folder)
-    save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, remap.region)
-    window = voxels.window(remap.region)
+    try:
+        save_point_cloud(voxels, folder / "map.ply", EntropySettings().high_entropy, remap.region)
+    except MemoryLimitError as err:
+        _log.warning("no map.ply is written: %s", err)
+    _save_entropy(remap, folder / "entropy.npz")
+    device = device_of(remap.fans[0], "recorded")
+    (folder / "sonar.toml").write_text(to_toml(device), encoding="utf-8")
+    _report(remap, folder / "report.html")
+    return result
+
+
+def _save_entropy(remap: Remap, path: Path) -> None:
+    voxels = remap.mapper.voxels
+    window = voxels.overview(remap.region)
+    if window.voxel_m > voxels.voxel_m:
+        _log.warning(
+            "no entropy.npz is written: the region has more than %d voxels; give a smaller one "
+            "(--region)", MOST_DENSE,
+        )  # fmt: skip
+        return
     low_m = np.array(window.first) * window.voxel_m + voxels.origin_m
     np.savez_compressed(
-        folder / "entropy.npz",
+        path,
         entropy_bits=entropy_map(window),
         seen=window.seen,
         low_m=low_m,
         voxel_m=window.voxel_m,
     )
-    device = device_of(remap.fans[0], "recorded")
-    (folder / "sonar.toml").write_text(to_toml(device), encoding="utf-8")
-    _report(remap, folder / "report.html")
-    return result
 
 
 def _report(remap: Remap, path: Path) -> None:
@@ -73,12 +112,13 @@ def _report(remap: Remap, path: Path) -> None:
         write_map_report(remap, path)
 
 
-def load_mapper(path: Path | str) -> Mapper:
+def load_mapper(path: Path | str, memory_bytes: int | None = None) -> Mapper:
     """A mapper with the map of a result of ``scan`` or ``map``, ready to go on or to be asked.
 
     Args:
         path: The result's folder, or a map file; beside it the config says what mapper made it.
             A map on its own is taken for one of `bayes`.
+        memory_bytes: As in `load_map`.
 
     Raises:
         MapFileError: The map cannot be read.
@@ -86,7 +126,7 @@ def load_mapper(path: Path | str) -> Mapper:
         ResultError: It was made by another mapper than its config names.
     """
     path = Path(path)
-    voxels = load_map(path)
+    voxels = load_map(path, memory_bytes=memory_bytes)
     folder = path if path.is_dir() and path.suffix != ".zarr" else path.parent
     mapper = empty_mapper(folder, voxels.voxel_m)
     mapper.voxels = voxels

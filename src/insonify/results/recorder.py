@@ -119,8 +119,9 @@ class ScanRecorder:
 
     def _record_map(self, run: Run) -> None:
         voxels = run.mapper.voxels
-        odds = voxels.log_odds
-        points = np.column_stack([voxels.occupied_m(), probability_from_log_odds(odds[odds > 0.0])])
+        occupied = voxels.select()
+        probability = probability_from_log_odds(occupied.log_odds)
+        points = np.column_stack([voxels.centres_m(occupied), probability])
         names = ("x", "y", "z", "probability")
         self._write(OCCUPIED, messages.point_cloud(points, names, self._now_ns, "map"))
 

@@ -22,8 +22,8 @@ from insonify.io.maps.colours import probability_colours
 from insonify.io.maps.surface import exposed_squares
 from insonify.io.recordings.recording import Reading
 from insonify.mapping.mapper import Mapper
-from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
-from insonify.mission.explanation import Played
+from insonify.mapping.voxels import VoxelMap, probability_from_log_odds
+from insonify.mission.explanation import Played, differing
 from insonify.mission.result import ScanResult
 from insonify.results.map import empty_mapper
 from insonify.results.sources import folder_of, pings_of, result_of
@@ -182,7 +182,7 @@ class _Log:
                 "%d of %d pings have no pose here, so the map is not seen to grow by them",
                 self.total - self.mapped, self.total,
             )  # fmt: skip
-        elif not _same(self.mapper.voxels, self.saved):
+        elif differing(self.mapper.voxels, self.saved):
             _log.warning(
                 "mapped again, the map differs from the one that was saved, which is the last one"
             )
@@ -219,14 +219,13 @@ class _Log:
 
     def _draw_map(self, voxels: VoxelMap) -> None:
         """Write the occupied voxels that can be seen; those with others on all sides cannot."""
-        slot, cell = np.nonzero(voxels.log_odds > 0.0)
-        within = np.column_stack(np.unravel_index(cell, (BLOCK, BLOCK, BLOCK)))
-        index = voxels.coords[slot].astype(np.int64) * BLOCK + within
+        occupied = voxels.select()
+        index = occupied.index
         bare = np.zeros(0, np.int64)
         if len(index):
             bare = np.unique(exposed_squares(index - index.min(axis=0) + 1)[1])
         centres = (index[bare] + 0.5) * voxels.voxel_m
-        odds = voxels.log_odds[slot[bare], cell[bare]]
+        odds = occupied.log_odds[bare]
         boxes = self.rerun.Boxes3D(
             centers=centres.astype(np.float32),
             half_sizes=np.full((len(bare), 3), voxels.voxel_m / 2, np.float32),
@@ -261,8 +260,3 @@ def _outline(fan: FanGeometry) -> list[Float64]:
         borders.append(np.concatenate([near, far[::-1], near[:1]]))
     upper, lower = borders
     return [upper, lower, *(np.stack([upper[k], lower[k]]) for k in (25, 49))]
-
-
-def _same(ours: VoxelMap, saved: VoxelMap) -> bool:
-    slots = ours.find(saved.coords)
-    return bool((slots >= 0).all()) and np.array_equal(ours.log_odds[slots], saved.log_odds)

@@ -6,9 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from insonify.mapping.voxels import BLOCK, IN_VIEW, VoxelMap, probability_from_log_odds
+from insonify.mapping.voxels import (
+    BLOCK,
+    IN_VIEW,
+    VOXELS_PER_BLOCK,
+    Blocks,
+    VoxelMap,
+    picked,
+    probability_from_log_odds,
+)
 from insonify.planning.entropy import binary_entropy
-from insonify.types import Array, Bool, Box, Float32, Int32
+from insonify.types import Array, Bool, Box, Float32, Int32, Int64
 
 MOST_CUBES = 300_000
 """More than this makes a page slow; they are merged, eight into one, until they are fewer."""
@@ -56,32 +64,33 @@ def occupied_cubes(voxels: VoxelMap, region: Box) -> tuple[Cubes, Cubes]:
 
     Those with six occupied neighbours cannot be seen and are left out.
     """
-    occupied = voxels.log_odds > 0.0
-    count = int(voxels.window(region).occupied.sum())
-    index, log_odds = _voxels(voxels, occupied & exposed(voxels, occupied), voxels.log_odds)
-    probability = probability_from_log_odds(log_odds)
-    inside = _inside(index, voxels.voxel_m, region)
-    return (
-        _merged(index[inside], probability[inside], voxels.voxel_m, count),
-        _merged(index[~inside], probability[~inside], voxels.voxel_m, int(occupied.sum()) - count),
-    )
+    within, beyond = _Gathered(voxels.voxel_m), _Gathered(voxels.voxel_m)
+    for part in voxels.parts():
+        some = _some(part, np.asarray((part.log_odds > 0.0).any(axis=1), bool))
+        occupied = some.log_odds > 0.0
+        near, bare = voxels.inside(some.coords, region), exposed(voxels, some)
+        for gathered, mask in ((within, occupied & near), (beyond, occupied & ~near)):
+            gathered.count += int(np.count_nonzero(mask))
+            shown = picked(some, mask & bare)
+            gathered.add(shown.index, probability_from_log_odds(shown.log_odds))
+    return within.cubes(), beyond.cubes()
 
 
 def undecided_cubes(voxels: VoxelMap, region: Box) -> Cubes:
     """Voxels of a region that have been in view and are still undecided, by entropy in bits."""
-    entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
-    doubtful = ((voxels.seen & IN_VIEW) > 0) & (entropy >= LEAST_ENTROPY_BITS)
-    low_m = voxels.coords * voxels.block_m
-    far = (low_m > region.high_m) | (low_m + voxels.block_m < region.low_m)
-    doubtful[far.any(axis=1)] = False
-    index, value = _voxels(voxels, doubtful, entropy)
-    inside = _inside(index, voxels.voxel_m, region)
-    return _merged(index[inside], value[inside], voxels.voxel_m, int(inside.sum()))
+    gathered = _Gathered(voxels.voxel_m)
+    for part in voxels.parts(region):
+        entropy = binary_entropy(probability_from_log_odds(part.log_odds))
+        doubtful = ((part.seen & IN_VIEW) > 0) & (entropy >= LEAST_ENTROPY_BITS)
+        found = picked(part, doubtful & voxels.inside(part.coords, region))
+        gathered.count += len(found.index)
+        gathered.add(found.index, binary_entropy(probability_from_log_odds(found.log_odds)))
+    return gathered.cubes()
 
 
-def exposed(voxels: VoxelMap, filled: Bool) -> Bool:
-    """Which voxels (blocks, 512) have a neighbour across a face that is not ``filled``."""
-    cells = filled.reshape(-1, BLOCK, BLOCK, BLOCK)
+def exposed(voxels: VoxelMap, part: Blocks) -> Bool:
+    """Which voxels (N, 512) of some blocks have a neighbour across a face that is not occupied."""
+    cells = (part.log_odds > 0.0).reshape(-1, BLOCK, BLOCK, BLOCK)
     bare = np.zeros_like(cells)
     for axis in range(3):
         for step in (-1, 1):
@@ -91,37 +100,59 @@ def exposed(voxels: VoxelMap, filled: Bool) -> Bool:
             edge, far = [slice(None)] * 4, [slice(None)] * 4
             edge[axis + 1] = slice(-1, None) if step > 0 else slice(0, 1)
             far[axis + 1] = slice(0, 1) if step > 0 else slice(-1, None)
-            slots = voxels.find(voxels.coords + towards)
-            known = (slots >= 0)[:, None, None, None]
-            beside[tuple(edge)] = cells[slots][tuple(far)] & known
+            there = voxels.read(part.coords + towards).log_odds > 0.0
+            beside[tuple(edge)] = there.reshape(cells.shape)[tuple(far)]
             bare |= ~beside
-    return bare.reshape(filled.shape)
+    return bare.reshape(-1, VOXELS_PER_BLOCK)
 
 
-def _voxels(voxels: VoxelMap, mask: Bool, values: Float32) -> tuple[Int32, Float32]:
-    """World indices (N, 3) of masked voxels, and their values."""
-    slot, voxel = np.nonzero(mask)
-    within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-    return (voxels.coords[slot] * BLOCK + within).astype(np.int32), values[slot, voxel]
+class _Gathered:
+    """Voxels that come part by part, merged whenever they are too many."""
+
+    def __init__(self, voxel_m: float) -> None:
+        self.voxel_m, self.count = voxel_m, 0
+        self._times = 1
+        self._parts: list[tuple[Int64, Float32]] = []
+        self._held = 0
+
+    def add(self, index: Int64, value: Float32) -> None:
+        """Take voxels (N, 3) of the map, and their values (N,)."""
+        self._parts.append(_coarser(index, value, self._times))
+        self._held += len(self._parts[-1][0])
+        if self._held > 4 * MOST_CUBES:
+            self._gather()
+
+    def cubes(self) -> Cubes:
+        """All that came."""
+        index, value = self._gather()
+        return Cubes(index.astype(np.int32), value, self.voxel_m, self._times, self.count)
+
+    def _gather(self) -> tuple[Int64, Float32]:
+        none = (np.empty((0, 3), np.int64), np.empty(0, np.float32))
+        index, value = (np.concatenate(all_) for all_ in zip(none, *self._parts, strict=True))
+        if self._times > 1:
+            index, value = _distinct(index, value)
+        while len(index) > MOST_CUBES:
+            index, value = _coarser(index, value, 2)
+            self._times *= 2
+        self._parts, self._held = [(index, value)], len(index)
+        return index, value
 
 
-def _inside(index: Int32, voxel_m: float, region: Box) -> Bool:
-    """Which voxels have their centres in a box."""
-    centre_m = (index + 0.5) * voxel_m
-    inside = np.logical_and(centre_m >= region.low_m, centre_m <= region.high_m)
-    return np.asarray(inside.all(axis=1), bool)
+def _coarser(index: Int64, value: Float32, times: int) -> tuple[Int64, Float32]:
+    """Cubes that are so many times as large, and the largest value of each."""
+    return (index, value) if times == 1 else _distinct(index // times, value)
 
 
-def _merged(index: Int32, value: Float32, voxel_m: float, count: int) -> Cubes:
-    times = 1
-    while len(index) > MOST_CUBES:
-        keys, group = np.unique(grid_keys(index >> 1), return_inverse=True)
-        largest = np.zeros(len(keys), np.float32)
-        np.maximum.at(largest, group, value)
-        first = np.zeros(len(keys), np.int64)
-        first[group] = np.arange(len(index))
-        index, value, times = index[first] >> 1, largest, 2 * times
-    return Cubes(index, value.astype(np.float32), voxel_m, times, count)
+def _distinct(index: Int64, value: Float32) -> tuple[Int64, Float32]:
+    keys, first, group = np.unique(grid_keys(index), return_index=True, return_inverse=True)
+    largest = np.zeros(len(keys), np.float32)
+    np.maximum.at(largest, group, value)
+    return index[first], largest
+
+
+def _some(part: Blocks, rows: Bool) -> Blocks:
+    return Blocks(part.coords[rows], part.log_odds[rows], part.seen[rows])
 
 
 def grid_keys(index: Array) -> Array:

@@ -8,15 +8,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from insonify.errors import InsonifyError, MapFileError, RecordingError
+from insonify.errors import ConfigError, InsonifyError, MapFileError, RecordingError
 from insonify.io.maps import LOADED, load_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, Recording
 from insonify.mapping.factory import MAPPERS, make_mapper
-from insonify.mapping.voxels import VoxelMap
 from insonify.mission.account import Account
+from insonify.mission.explanation import differing
 from insonify.mission.remap import Remap, map_recordings
 from insonify.results.files import CONFIG, RECORDING
 from insonify.results.map import MapConfig, config_of
@@ -46,7 +44,13 @@ class Told:
     go_on: Callable[[Callable[[int, int], None], Callable[[], bool]], None]
 
 
-def open_story(path: Path, reading: Reading, config: MapConfig, region: Box | None = None) -> Told:
+def open_story(
+    path: Path,
+    reading: Reading,
+    config: MapConfig,
+    region: Box | None = None,
+    memory_bytes: int | None = None,
+) -> Told:
     """The story of a run's folder, a map, or a recording.
 
     Args:
@@ -54,17 +58,23 @@ def open_story(path: Path, reading: Reading, config: MapConfig, region: Box | No
         reading: What the user says of a recording.
         config: How a recording is mapped; a run that was broken off is mapped by its own.
         region: Where uncertainty counts; by default the run's own, or around what is occupied.
+        memory_bytes: Of a ``.zarr`` map, as in `load_map`.
 
     Raises:
         InsonifyError: It is none of these, or damaged.
     """
+    holds_map = any((path / name).exists() for name in ("map.npz", "map.zarr"))
+    holds_map |= path.suffix in LOADED and _is_map(path)
+    if memory_bytes is not None and (is_scan(path) or not holds_map):
+        raise ConfigError(f"{path}: --memory is for maps (.zarr), not for runs and recordings")
     if is_scan(path):
         return _scan_story(path)
     how: MapConfig | None = config
     if (path / RECORDING).is_file() and (path / CONFIG).is_file():  # broken off, or an older one
         how, path = _config_again(path), path / RECORDING
-    if (path / "map.npz").is_file() or (path.suffix in LOADED and _is_map(path)):
-        return Told(map_story(path, region), 0, lambda watch, should_stop: None)
+    if holds_map:
+        story = map_story(path, region, memory_bytes)
+        return Told(story, 0, lambda watch, should_stop: None)
     recording = open_recording(path, reading)
     story = Story(path.resolve().name)
     return Told(
@@ -76,13 +86,13 @@ def open_story(path: Path, reading: Reading, config: MapConfig, region: Box | No
     )
 
 
-def map_story(path: Path, region: Box | None = None) -> Story:
+def map_story(path: Path, region: Box | None = None, memory_bytes: int | None = None) -> Story:
     """A map alone.
 
     Raises:
         MapFileError: It cannot be read.
     """
-    voxels = load_map(path)
+    voxels = load_map(path, memory_bytes=memory_bytes)
     story = Story(path.resolve().name)
     if region is not None:
         region = region.relative_to(voxels.origin_m)
@@ -142,7 +152,7 @@ def _tell_scan(
             return
     if mapper is not None:
         mapper.finish_scan()
-        if not _same(mapper.voxels, account.voxels):
+        if differing(mapper.voxels, account.voxels):
             story.maps = Thinned()
     story.add_map(account.voxels, account.region)
     story.changed()
@@ -169,13 +179,6 @@ def _config_again(folder: Path) -> MapConfig | None:
             return config
     _log.warning("%s: its mapper is not run here, so the map is not seen to grow", folder)
     return None
-
-
-def _same(ours: VoxelMap, saved: VoxelMap) -> bool:
-    if ours.block_count != saved.block_count:
-        return False
-    slots = ours.find(saved.coords)
-    return bool((slots >= 0).all()) and np.array_equal(ours.log_odds[slots], saved.log_odds)
 
 
 def _tell_recording(

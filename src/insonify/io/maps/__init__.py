@@ -69,26 +69,46 @@ def save_map(
     save_geotiff(voxels, path, datum, epsg)
 
 
-def load_map(path: Path | str, region: Box | None = None) -> VoxelMap:
+def map_file(path: Path | str) -> Path:
+    """The map of a result folder; a map itself as it is.
+
+    Raises:
+        MapFileError: There is none.
+    """
+    path = Path(path)
+    if path.suffix != ".zarr" and path.is_dir():
+        found = [path / name for name in ("map.npz", "map.zarr") if (path / name).exists()]
+        if not found:
+            raise MapFileError(f"{path}: no result folder, it holds no map.npz or map.zarr")
+        path = found[0]
+    if not path.exists():
+        raise MapFileError(f"{path}: there is no such map file; check the path")
+    return path
+
+
+def load_map(
+    path: Path | str, region: Box | None = None, *, memory_bytes: int | None = None
+) -> VoxelMap:
     """Read a map: ``.npz``, ``.zarr``, OctoMap's ``.ot`` and ``.bt``, or a result folder's.
 
     Args:
         path: The file or folder.
         region: Only the blocks that touch this box; of a ``.zarr`` no others are read.
+        memory_bytes: What the blocks of a ``.zarr`` may take in memory; those that lie elsewhere
+            are read when they are needed, and the map cannot be written to.
 
     Raises:
         MapFileError: It is missing, is no such map, or is damaged.
+        MemoryLimitError: The memory is too little.
         MissingExtraError: The format needs a package that is not installed.
     """
-    path = Path(path)
-    if path.suffix != ".zarr" and path.is_dir():
-        path /= "map.npz"
-        if not path.is_file():
-            raise MapFileError(f"{path.parent}: no result folder, it holds no map.npz")
-    if not path.exists():
-        raise MapFileError(f"{path}: there is no such map file; check the path")
+    path = map_file(path)
     if path.suffix == ".zarr":
-        return load_zarr(path, region)
+        return load_zarr(path, region, memory_bytes)
+    if memory_bytes is not None:
+        raise MapFileError(
+            f"{path}: is read whole, so that no limit of memory can hold; give a .zarr"
+        )
     if path.suffix in (".ot", ".bt"):
         voxels = load_octomap(path)
     elif path.suffix in SAVED and path.suffix != ".npz":

@@ -19,17 +19,11 @@ from insonify.mapping.voxels import (
     SURFACE,
     VOXELS_PER_BLOCK,
     VoxelMap,
-    touching,
 )
-from insonify.types import Array, Box, Int64
+from insonify.types import Array, Box
 
 MOST_LOG_ODDS = 100.0
 FARTHEST_ORIGIN_M = 1e9
-
-
-def ascending(voxels: VoxelMap) -> Int64:
-    """Slots of a map's blocks by x, y, z, so that files do not tell the order of exploration."""
-    return np.lexsort(voxels.coords.T[::-1])
 
 
 def map_from_blocks(
@@ -86,13 +80,13 @@ def origin_of(path: Path, told: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-def cropped(voxels: VoxelMap, region: Box) -> VoxelMap:
-    """The part of a map whose blocks touch a box."""
-    kept = touching(voxels.coords, voxels.block_m, region)
+def cropped(voxels: VoxelMap, region: Box | None) -> VoxelMap:
+    """A copy, in memory, of the blocks that touch a box, or of all."""
     part = VoxelMap(voxels.voxel_m, origin_m=voxels.origin_m)
-    slots = part.allocate(voxels.coords[kept])
-    part.log_odds[slots] = voxels.log_odds[kept]
-    part.seen[slots] = voxels.seen[kept]
+    for blocks in voxels.parts(region):
+        held = part.hold(blocks.coords)
+        held.log_odds[held.slots] = blocks.log_odds
+        held.seen[held.slots] = blocks.seen
     return part
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from insonify.errors import OutputError
-from insonify.mapping.voxels import BLOCK, OBSERVED, VoxelMap
+from insonify.mapping.voxels import OBSERVED, VoxelMap
 from insonify.types import Float32
 
 MOST_CELLS = 100_000_000
@@ -49,10 +49,8 @@ def height_grid(voxels: VoxelMap, path: Path) -> HeightGrid:
     Raises:
         OutputError: No voxel is occupied, or the grid would be too large.
     """
-    slot, voxel = np.nonzero(voxels.seen & OBSERVED)
-    index = voxels.coords[slot].astype(np.int64) * BLOCK
-    index += np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-    log_odds = voxels.log_odds[slot, voxel].astype(np.float64)
+    observed = voxels.select(lambda part: (part.seen & OBSERVED) > 0)
+    index, log_odds = observed.index, observed.log_odds.astype(np.float64)
     if not (log_odds > 0).any():
         raise OutputError(
             f"{path.name}: the map holds no occupied voxel, so that it has no heights"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,17 @@ import numpy as np
 
 from insonify.errors import MapFileError
 from insonify.io.archives import read_archive
-from insonify.io.maps.blocks import ascending, map_from_blocks
-from insonify.mapping.voxels import VoxelMap
+from insonify.io.maps.blocks import map_from_blocks
+from insonify.mapping.voxels import VOXELS_PER_BLOCK, VoxelMap
+from insonify.types import Array
 
 FORMAT = "insonify-map"
 VERSION = 1
+_ARRAYS = (
+    ("coords", (3,), "i4"),
+    ("log_odds", (VOXELS_PER_BLOCK,), "f4"),
+    ("seen", (VOXELS_PER_BLOCK,), "u1"),
+)
 
 
 def save_npz(voxels: VoxelMap, path: Path) -> None:
@@ -23,19 +31,26 @@ def save_npz(voxels: VoxelMap, path: Path) -> None:
     (blocks, 512) float32 and ``seen`` (blocks, 512) uint8, voxels of a block x outermost; and
     ``origin_m`` (3,) float64 if the map has one.  The same map gives the same bytes.
     """
-    order = ascending(voxels)
-    more: dict[str, Any] = {"origin_m": np.array(voxels.origin_m)} if any(voxels.origin_m) else {}
-    with path.open("wb") as file:
-        np.savez_compressed(
-            file,
-            format=np.array(FORMAT),
-            version=np.array(VERSION),
-            voxel_m=np.array(voxels.voxel_m),
-            coords=voxels.coords[order],
-            log_odds=voxels.log_odds[order],
-            seen=voxels.seen[order],
-            **more,
-        )
+    alone = {"format": FORMAT, "version": VERSION, "voxel_m": voxels.voxel_m}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, value in alone.items():
+            _write(archive, name, (), np.array(value).dtype, [np.array(value)])
+        for name, shape, kind in _ARRAYS:
+            pieces = (getattr(part, name) for part in voxels.parts(order="ascending"))
+            _write(archive, name, (voxels.block_count, *shape), np.dtype(kind), pieces)
+        if any(voxels.origin_m):
+            _write(archive, "origin_m", (3,), np.dtype("f8"), [np.array(voxels.origin_m)])
+
+
+def _write(
+    archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], kind: Any, pieces: Iterable[Array]
+) -> None:
+    """An array as `numpy.savez_compressed` writes it, but a piece at a time."""
+    header = {"descr": np.lib.format.dtype_to_descr(kind), "fortran_order": False, "shape": shape}
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for piece in pieces:
+            file.write(np.ascontiguousarray(piece, kind).tobytes())
 
 
 def load_npz(path: Path) -> VoxelMap:

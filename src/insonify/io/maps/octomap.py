@@ -38,16 +38,14 @@ def save_octomap(voxels: VoxelMap, path: Path) -> None:
     Raises:
         OutputError: The map reaches farther than OctoMap's 32768 voxels from the origin.
     """
-    slot, voxel = np.nonzero(voxels.seen & OBSERVED)
-    within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-    index = voxels.coords[slot] * BLOCK + within
+    observed = voxels.select(lambda part: (part.seen & OBSERVED) > 0)
+    index, value = observed.index, observed.log_odds
     if len(index) and not -CENTRE_KEY <= index.min() <= index.max() < CENTRE_KEY:
         raise OutputError(
             f"{path.name}: the map reaches {np.abs(index).max() * voxels.voxel_m:.0f} m from the "
             f"origin and OctoMap holds {CENTRE_KEY * voxels.voxel_m:.0f} m at this voxel size; "
             "write .zarr instead"
         )
-    value = voxels.log_odds[slot, voxel]
     if path.suffix == ".bt":
         levels = pruned_tree(index, np.where(value > 0, OCCUPIED_LOG_ODDS, FREE_LOG_ODDS))
         data = _binary_nodes(levels)

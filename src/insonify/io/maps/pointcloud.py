@@ -7,17 +7,21 @@ from pathlib import Path
 import numpy as np
 
 from insonify.io.maps.colours import probability_colours
-from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
+from insonify.mapping.voxels import (
+    Blocks,
+    VoxelMap,
+    probability_from_log_odds,
+    surface_of,
+)
 from insonify.planning.entropy import binary_entropy
-from insonify.types import Box
+from insonify.types import Bool, Box
 
 _PLY = {"<f8": "double", "<f4": "float", "u1": "uchar"}
 _COLOURS = ("red", "green", "blue")
-EVERYWHERE = Box((-np.inf,) * 3, (np.inf,) * 3)
 
 
 def save_point_cloud(
-    voxels: VoxelMap, path: Path, least_entropy: float = 0.99, region: Box = EVERYWHERE
+    voxels: VoxelMap, path: Path, least_entropy: float = 0.99, region: Box | None = None
 ) -> None:
     """Write a binary PLY point cloud of the voxels that are not known to be free.
 
@@ -31,33 +35,31 @@ def save_point_cloud(
         voxels: The map.
         path: The file.
         least_entropy: Entropy from which a voxel counts as undecided.
-        region: Where undecided voxels are of interest, in the map's own frame.
+        region: Where undecided voxels are of interest, in the map's own frame; by default
+            everywhere.
     """
-    entropy = binary_entropy(probability_from_log_odds(voxels.log_odds))
-    corner = voxels.coords * voxels.block_m
-    near = np.logical_and(corner + voxels.block_m > region.low_m, corner < region.high_m)
-    undecided = (entropy >= least_entropy) & near.all(axis=1).reshape(-1, 1)
-    surface = voxels.surface
-    shown = (voxels.log_odds > 0.0) | surface
-    kept = (voxels.seen > 0) & (shown | undecided)
-    slot, voxel = np.nonzero(kept)
-    within = np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-    index = voxels.coords[slot] * BLOCK + within
-    centre = (index + 0.5) * voxels.voxel_m
-    inside = ((centre >= region.low_m) & (centre <= region.high_m)).all(axis=1)
-    inside |= shown[slot, voxel]
-    slot, voxel, index = slot[inside], voxel[inside], index[inside]
-    order = np.lexsort(index.T[::-1])
+    marked = voxels.marked
+
+    def shown(part: Blocks) -> Bool:
+        undecided = binary_entropy(probability_from_log_odds(part.log_odds)) >= least_entropy
+        if region is not None:
+            undecided &= voxels.inside(part.coords, region)
+        solid = (part.log_odds > 0.0) | surface_of(part.log_odds, part.seen, marked)
+        return np.asarray((part.seen > 0) & (solid | undecided), bool)
+
+    some = voxels.select(shown)
+    order = np.lexsort(some.index.T[::-1])
+    index, log_odds, seen = some.index[order], some.log_odds[order], some.seen[order]
     names = ("x", "y", "z", "probability", "entropy")
     far = any(voxels.origin_m)
     kinds = {name: "<f8" if far and name in "xyz" else "<f4" for name in names}
     kinds |= dict.fromkeys(("surface", *_COLOURS), "u1")
     points = np.empty(len(index), list(kinds.items()))
     for axis, name in enumerate("xyz"):
-        points[name] = ((index[:, axis] + 0.5) * voxels.voxel_m)[order] + voxels.origin_m[axis]
-    points["probability"] = probability_from_log_odds(voxels.log_odds[slot, voxel])[order]
-    points["entropy"] = entropy[slot, voxel][order]
-    points["surface"] = surface[slot, voxel][order]
+        points[name] = (index[:, axis] + 0.5) * voxels.voxel_m + voxels.origin_m[axis]
+    points["probability"] = probability_from_log_odds(log_odds)
+    points["entropy"] = binary_entropy(points["probability"])
+    points["surface"] = surface_of(log_odds, seen, marked)
     for name, shade in zip(_COLOURS, probability_colours(points["probability"]).T, strict=False):
         points[name] = shade
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]

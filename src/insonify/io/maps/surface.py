@@ -15,7 +15,7 @@ import trimesh
 from insonify.errors import OutputError
 from insonify.io.maps.colours import probability_colours
 from insonify.io.maps.sidecar import save_origin
-from insonify.mapping.voxels import BLOCK, VoxelMap, probability_from_log_odds
+from insonify.mapping.voxels import VoxelMap, probability_from_log_odds
 from insonify.types import Array, Float32, Float64
 
 _BITS = 21
@@ -51,15 +51,13 @@ def occupied_surface(voxels: VoxelMap, path: Path) -> tuple[Float64, Array, Floa
     Raises:
         OutputError: No voxel is occupied, or they lie too far apart.
     """
-    slot, voxel = np.nonzero(voxels.log_odds > 0.0)
-    if not len(slot):
+    occupied = voxels.select()
+    if not len(occupied.index):
         raise OutputError(
             f"{path.name}: the map holds no occupied voxel, so that it has no surface"
         )
-    index = voxels.coords[slot].astype(np.int64) * BLOCK
-    index += np.column_stack(np.unravel_index(voxel, (BLOCK, BLOCK, BLOCK)))
-    order = np.lexsort(index.T[::-1])
-    slot, voxel, index = slot[order], voxel[order], index[order]
+    order = np.lexsort(occupied.index.T[::-1])
+    index, log_odds = occupied.index[order], occupied.log_odds[order]
     first = index.min(axis=0) - 1
     if (np.ptp(index, axis=0) >= (1 << _BITS) - 3).any():
         raise OutputError(
@@ -70,7 +68,7 @@ def occupied_surface(voxels: VoxelMap, path: Path) -> tuple[Float64, Array, Floa
     count = np.bincount(corner)
     middle = np.repeat(squares.mean(axis=1), 4, axis=0)
     vertices = np.column_stack([np.bincount(corner, middle[:, i]) / count for i in range(3)])
-    probability = probability_from_log_odds(voxels.log_odds[slot, voxel])[owner]
+    probability = probability_from_log_odds(log_odds)[owner]
     beside = np.bincount(corner, np.repeat(probability, 4)) / count
     faces = corner.reshape(-1, 4)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
     return (vertices + first) * voxels.voxel_m, faces, beside.astype(np.float32)

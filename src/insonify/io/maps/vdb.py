@@ -26,9 +26,7 @@ _TREE = "Tree_float_5_4_3"
 
 def save_vdb(voxels: VoxelMap, path: Path) -> None:
     """Write the observed voxels; index (i, j, k) lies at the centre of our voxel (i, j, k)."""
-    active = (voxels.seen & OBSERVED) > 0
-    kept = active.any(axis=1)
-    coords, active, log_odds = voxels.coords[kept], active[kept], voxels.log_odds[kept]
+    coords, active, log_odds = _observed(voxels)
     grids = (("log_odds", log_odds), ("probability", probability_from_log_odds(log_odds)))
     out = bytearray(struct.pack("<qIII?", _MAGIC, _VERSION, *_LIBRARY, True) + _UUID)
     out += _metadata({"creator": "insonify"}) + struct.pack("<I", len(grids))
@@ -43,6 +41,17 @@ def save_vdb(voxels: VoxelMap, path: Path) -> None:
         ends = start + len(head) + len(topology)
         out += struct.pack("<qqq", start, ends, ends + len(leaves)) + head + topology + leaves
     path.write_bytes(bytes(out))
+
+
+def _observed(voxels: VoxelMap) -> tuple[Array, Bool, Float32]:
+    """Blocks with observed voxels (N, 3), which of these are (N, 512), and their log-odds."""
+    found = []
+    for part in voxels.parts():
+        observed = (part.seen & OBSERVED) > 0
+        kept = observed.any(axis=1)
+        found.append((part.coords[kept], observed[kept], part.log_odds[kept]))
+    coords, active, log_odds = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return coords, active, log_odds
 
 
 def _tree(coords: Int64, active: Bool, values: Float32) -> tuple[bytes, bytes]:
