@@ -1,4 +1,4 @@
-"""`live` killed at random times: ``python -m benchmarks.live_kills [--count 50] [--seed S]``.
+"""`live` killed at random times: ``python -m benchmarks.live_kills [--count 50] [--memory 50MB]``.
 
 A recording is played on the bus, slowly; `insonify live` hears it, is killed (SIGKILL) at a random
 time and started again, so many times, and ended by SIGTERM when all is played.  Once the player is
@@ -103,7 +103,13 @@ def _bytes(home: Path, target: str) -> int:
 
 
 def trial(
-    home: Path, recording: Path, rate: float, kills: int, rng: np.random.Generator, halts: int = 0
+    home: Path,
+    recording: Path,
+    rate: float,
+    kills: int,
+    rng: np.random.Generator,
+    halts: int = 0,
+    memory: str | None = None,
 ) -> Trial:
     """Play a recording, and kill who hears it.
 
@@ -114,10 +120,11 @@ def trial(
         kills: How often, while it is played.
         rng: Says when.
         halts: How often the player is halted.
+        memory: What the map's blocks may take in memory, the others being on disk.
     """
     told = Trial()
     halted = set(rng.choice(kills, min(halts, kills), replace=False)) if kills else set()
-    words = ["live", *SMALL, "--out", "L"]
+    words = ["live", *SMALL, "--out", "L", *(["--memory", memory] if memory else [])]
     live = start(*words, home=home)
     player = start("play", str(recording), "--rate", str(rate), "--wait", "120", home=home)
     while told.kills < kills and player.poll() is None:
@@ -153,10 +160,11 @@ def _judge(told: Trial, home: Path) -> None:
     told.doubled = len(left) - len(set(left))
     told.lost = len(told.flushed - set(left))
     parts = [str(file) for file in sorted((home / "L" / RECORDINGS).glob("*.mcap"))]
-    again = start("map", *parts, *SMALL, "--out", "M", home=home)
-    _, said = again.communicate(timeout=600)
-    assert again.returncode == 0, said
-    told.same = (home / "L/map.npz").read_bytes() == (home / "M/map.npz").read_bytes()
+    for words in (["map", *parts, *SMALL, "--out", "M"], ["export", "L", "L.npz"]):
+        again = start(*words, home=home)
+        _, said = again.communicate(timeout=600)
+        assert again.returncode == 0, said
+    told.same = (home / "L.npz").read_bytes() == (home / "M/map.npz").read_bytes()
 
 
 def simulated(home: Path, waypoints: int) -> Path:
@@ -174,6 +182,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=50, help="kills")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=8.0, help="of play for each kill")
+    parser.add_argument("--memory", help="map on disk, with so much memory for blocks")
     options = parser.parse_args()
     os.environ["CYCLONEDDS_URI"] = LOOPBACK
     os.environ.setdefault("ROS_DOMAIN_ID", "77")
@@ -184,7 +193,7 @@ def main() -> None:
         times = [posed.ping.time_s for posed in open_recording(recording)]
         rate = (times[-1] - times[0]) / (options.seconds * options.count)
         rng = np.random.default_rng(options.seed)
-        told = trial(home, recording, rate, options.count, rng, halts=1)
+        told = trial(home, recording, rate, options.count, rng, halts=1, memory=options.memory)
     print(f"pings played                  {len(times)}")
     print(f"kills                         {told.kills}")
     print(f"pings received                {told.received}")

@@ -15,7 +15,7 @@ from benchmarks import samples
 from benchmarks.bag_samples import KINDS, BagMaker, plain_bag
 
 from insonify.errors import RecordingError
-from insonify.io.maps import save_map
+from insonify.io.maps import load_map, ondisk, save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.ros import messages
@@ -60,10 +60,14 @@ def lived(
     poser: Poser,
     job: str = "",
     config: MapConfig = FINE,
+    memory_bytes: int | None = None,
 ) -> tuple[bytes, Counts]:
     """The map file that a session leaves, and what happened to messages."""
-    _, place = run_session(Order(config, None, folder, job=job), poser, source)
+    order = Order(config, None, folder, memory_bytes=memory_bytes, job=job)
+    _, place = run_session(order, poser, source)
     file = place / "map.npz"
+    if (place / "map.zarr").is_dir():
+        save_map(load_map(place / "map.zarr"), file)
     return (file.read_bytes() if file.is_file() else b""), poser.counts
 
 
@@ -313,11 +317,13 @@ def test_a_session_that_was_broken_off_is_gone_on_with(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
-@pytest.mark.parametrize("mapper", ["bayes", "carving"])
+@pytest.mark.parametrize(
+    ("mapper", "memory_bytes"), [("bayes", None), ("carving", None), ("bayes", 1300 * 2560)]
+)
 def test_a_checkpoint_saves_mapping_again(
-    mapper: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mapper: str, memory_bytes: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same map, with fewer pings mapped twice."""
+    """The same map, with fewer pings mapped twice; also of a map that is on disk."""
 
     class Gone(BaseException):
         pass
@@ -326,7 +332,9 @@ def test_a_checkpoint_saves_mapping_again(
         yield from told
         raise Gone
 
-    config = FINE.model_copy(update={"mapper": mapper})
+    voxel_m = 0.1 if memory_bytes is None else 0.02
+    mapping = FINE.mapping.model_copy(update={"voxel_m": voxel_m})
+    config = MapConfig(mapper=mapper, mapping=mapping)
     told = robot(24)
     again: list[str] = []
 
@@ -336,19 +344,24 @@ def test_a_checkpoint_saves_mapping_again(
 
     monkeypatch.setattr(keeping, "FLUSH_S", 0.0)
     monkeypatch.setattr(keeping, "_LEAST_S", 0.0)
+    monkeypatch.setattr(keeping, "_SHARE", 1e9)
     monkeypatch.setattr(session_module, "TICK_S", 0.0)
     monkeypatch.setattr(keeping, "map_ping", counted)
+    monkeypatch.setattr(ondisk, "LEAST_BYTES", 0)
+    how: dict[str, Any] = {"job": "job", "config": config, "memory_bytes": memory_bytes}
     with pytest.raises(Gone):
         poser = Poser(Reading(), Counts())
-        lived(tmp_path / "live", dies(told[:120]), poser, job="job", config=config)
+        lived(tmp_path / "live", dies(told[:120]), poser, **how)
     before = poser.counts.mapped
     poser = Poser(Reading(), Counts())
-    live, counts = lived(tmp_path / "live", iter(told[120:]), poser, job="job", config=config)
+    live, counts = lived(tmp_path / "live", iter(told[120:]), poser, **how)
     assert before > 4 and len(again) < before and counts.mapped > 0
     recordings = [open_recording(part) for part in sorted((tmp_path / "live/recordings").iterdir())]
     remap = map_recordings(recordings, config.mapping, mapper=make_mapper(mapper, config.mapping))
     save_map(remap.mapper.voxels, tmp_path / "again.npz")
     assert live == (tmp_path / "again.npz").read_bytes()
+    if memory_bytes is not None:
+        assert not list((tmp_path / "live/map.zarr").glob("*.npz*"))
     result = json.loads((tmp_path / "live/result.json").read_text())
     assert result["pings"] == before + counts.mapped and result["mapper"] == mapper
 

@@ -21,13 +21,14 @@ from insonify.mission.campaign import (
     run_key,
     with_scans,
 )
-from insonify.mission.cluster import fly_on_worker
+from insonify.mission.cluster import do_on_worker
 from insonify.mission.crew import (
     Failure,
     Landed,
     Outcome,
     Place,
     fly_all,
+    fly_run,
     known_runs,
     pin_kernels,
 )
@@ -281,4 +282,4 @@ def test_kernels_of_a_worker_are_pinned_to_its_share() -> None:
 def test_a_worker_of_another_version_flies_nothing() -> None:
     config = scenario_config("tetrapod")
     with pytest.raises(ClusterError, match=r"a worker has insonify .* here is insonify 9.9;"):
-        fly_on_worker(config, "9.9")
+        do_on_worker(fly_run, config, "9.9")

@@ -10,7 +10,7 @@ PANELS = {
     "What": "planner planners object_ seed seeds count pose path orbit "
     "waypoints from_ search materials settings config sql recording datum epsg split license",
     "Sonar": "sonar sonars range_m model renderer truth camera",
-    "Mapping": "mapper voxel threshold region",
+    "Mapping": "mapper voxel threshold region memory",
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic rate wait idle",
     "Vehicle": "plan clearance speed radius vehicle current navigation real_time live_bus",
@@ -87,6 +87,7 @@ EXAMPLES = {
         "insonify map dive.mcap --voxel 0.1 --out map",
         "insonify map sonar.aris --poses track.tum --voxel 0.05 --out map",
         "insonify map dive.mcap --mapper carving --voxel 0.1 --out map",
+        "insonify map survey.mcap --memory 500MB --out survey",
     ),
     "live": (
         "insonify live --voxel 0.1 --out dive",

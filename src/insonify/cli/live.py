@@ -23,11 +23,13 @@ from insonify.cli.root import (
     ForceOption,
     JsonOption,
     MapperOption,
+    MemoryOption,
     OutOption,
     SetOption,
     absolute,
     app,
     interruptible,
+    memory_limit,
     print_report,
 )
 from insonify.cli.views import HostOption, PortOption
@@ -78,6 +80,7 @@ def live(
     mapper: MapperOption = None,
     voxel: VoxelOption = None,
     region: RegionOption = None,
+    memory: MemoryOption = None,
     plan: PlanOption = False,
     waypoints: WaypointsOption = 40,
     clearance: ClearanceOption = 0.4,
@@ -111,8 +114,10 @@ def live(
     if from_ is not None and (plan or idle is not None):
         raise ConfigError("--plan and --idle are for the bus; a recording is not steered (--from)")
     pilot = Pilot(box, entropy, waypoints, clearance) if plan else None
-    job = "" if from_ is not None else "\n".join([to_toml(full, "A session"), repr(reading)])
-    order = Order(full, box, folder, force, job)
+    limit = memory_limit(memory)
+    how = [to_toml(full, "A session"), repr(reading), *(["on disk"] if limit else [])]
+    job = "" if from_ is not None else "\n".join(how)
+    order = Order(full, box, folder, force, limit, job)
     with _serving(host, port, wanted=foxglove) as server:
         sending: list[Send] = [] if server is None else [server.send]
         publisher = Publisher(sending, pilot, radius)

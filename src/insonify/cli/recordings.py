@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -110,6 +110,13 @@ def map_(
     threshold: ThresholdOption = None,
     region: RegionOption = None,
     memory: MemoryOption = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of a Dask cluster: each of its workers maps a part of the area.",
+        ),
+    ] = None,
     reading: Any = None,
     settings: SetOption = None,
     config: ConfigOption = None,
@@ -123,6 +130,9 @@ def map_(
     from insonify.mission.remap import echo_threshold, map_recordings
     from insonify.results.map import mapper_for, save_remap
 
+    box = box_from_text(region) if region is not None else None
+    limit = memory_limit(memory)
+
     full = map_config(voxel, absolute(mapper), settings, config)
     if threshold is not None and threshold != "auto":
         full = _with_threshold(full, threshold)
@@ -131,16 +141,16 @@ def map_(
         if threshold == "auto":
             full = _with_threshold(full, str(echo_threshold(recordings)))
             tell(f"Threshold: {full.mapping.pixel_threshold} of 255")
-        mapper_used = mapper_for(full, place.scratch, memory_limit(memory))
-        with _progress() as watch:
-            remap = map_recordings(
-                recordings,
-                full.mapping,
-                box_from_text(region) if region is not None else None,
-                mapper=mapper_used,
-                watch=watch,
-                should_stop=interrupted,
-            )
+        if scheduler is not None:
+            how = (full, place.scratch, limit, scheduler, box)
+            remap = _mapped_on_cluster(recordings, reading, *how, interrupted)
+        else:
+            mapper_used = mapper_for(full, place.scratch, limit)
+            with _progress() as watch:
+                remap = map_recordings(
+                    recordings, full.mapping, box, mapper=mapper_used, watch=watch,
+                    should_stop=interrupted,
+                )  # fmt: skip
         with progress("writing the map and its report"):
             result = save_remap(remap, place.scratch, full)
     if as_json:
@@ -151,6 +161,34 @@ def map_(
     if interrupted():
         tell("insonify: interrupted; what was mapped until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _mapped_on_cluster(
+    recordings: list[Recording],
+    reading: Any,
+    full: MapConfig,
+    folder: Path,
+    limit: int | None,
+    scheduler: str,
+    region: Box | None,
+    interrupted: Callable[[], bool],
+) -> Remap:
+    """The map of recordings, made by the workers of a Dask cluster."""
+    from insonify.mission.tiling import MEMORY_BYTES, Order, map_on_cluster
+
+    files = tuple(recording.path.absolute() for recording in recordings)
+    how = (full.mapper, full.mapping, full.mapper_options)
+    order = Order(files, reading, *how, folder.absolute() / "map.zarr", limit or MEMORY_BYTES)
+    with _progress() as watch, progress("parts") as bar:
+        remap = map_on_cluster(
+            order, recordings, scheduler, region, watch=watch,
+            told=lambda done, count: bar.show(done, count, note=f"{done} of {count}"),
+            should_stop=interrupted,
+        )  # fmt: skip
+    if remap is None:
+        tell("insonify: interrupted; nothing is kept of a map on a cluster")
+        raise typer.Exit(EXIT_INTERRUPTED)
+    return remap
 
 
 def map_config(

@@ -2,7 +2,8 @@
 
 In a folder: ``recordings/001.mcap`` and so on, one a start and one a GiB, in chunks that are with
 the disk within two seconds; ``checkpoint.npz``, a map and how many pings of which recordings are in
-it.  The recordings hold each ping in the order of mapping and with the pose it was mapped at,
+it; of a map on disk it lies with its tiles, in ``map.zarr``, and both become what they are at once.
+ The recordings hold each ping in the order of mapping and with the pose it was mapped at,
 unrounded, so `map` of them makes the same map, byte for byte.
 """
 
@@ -23,20 +24,22 @@ import numpy as np
 
 from insonify.errors import RecordingError, ResultError, reason
 from insonify.io.archives import read_archive
-from insonify.io.maps.blocks import map_from_blocks
+from insonify.io.maps.blocks import map_from_blocks, origin_of
+from insonify.io.maps.ondisk import TileStore
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import RecordingWarning
 from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.live.played import FREQUENCY_HZ, SONAR, SOUND_SPEED_MPS
 from insonify.live.session import Event, Finished, Heard, Session
 from insonify.mapping.mapper import Mapper
+from insonify.mapping.voxels import VoxelMap
 from insonify.mission.remap import Remap, map_ping
 from insonify.results.replay import posed_messages
 from insonify.types import FanGeometry, Pose, PosedPing
 
 _log = logging.getLogger(__name__)
 
-RECORDINGS, CHECKPOINT = "recordings", "checkpoint.npz"
+RECORDINGS, CHECKPOINT, MAP = "recordings", "checkpoint.npz", "map.zarr"
 _FORMAT, _VERSION = "insonify-checkpoint", 1
 FLUSH_S = 2.0
 MOST_BYTES = 1 << 30
@@ -73,7 +76,8 @@ class Keeper:
             self._close()
             if self._saver is not None:
                 self._saver.join()
-            (self.folder / CHECKPOINT).unlink(missing_ok=True)
+            for place in (self.folder, self.folder / MAP):
+                (place / CHECKPOINT).unlink(missing_ok=True)
         elif now_s - self._flushed_s > FLUSH_S:
             self.flush()
             if now_s - self._saved_s > self._wait_s:
@@ -126,9 +130,15 @@ class Keeper:
             return
         begun_s = time.monotonic()
         arrays = _arrays(session.remap, self.parts)
+        store = session.remap.mapper.voxels.store
+        if isinstance(store, TileStore):
+            _write(self.folder / MAP / f"{CHECKPOINT}.new", arrays)
+            store.flush([CHECKPOINT])
         taken_s = time.monotonic() - begun_s
         self._saved_s = time.monotonic()
         self._wait_s = max(_LEAST_S, taken_s / _SHARE)
+        if isinstance(store, TileStore):
+            return
         self._saver = threading.Thread(target=_write, args=(self.folder / CHECKPOINT, arrays))
         self._saver.start()
 
@@ -149,13 +159,19 @@ def _arrays(remap: Remap, parts: list[dict[str, Any]]) -> dict[str, Any]:
         "format": np.array(_FORMAT),
         "version": np.array(_VERSION),
         "told": np.array(json.dumps(told)),
-        "coords": voxels.coords.copy(),
-        "log_odds": voxels.log_odds.copy(),
-        "seen": voxels.seen.copy(),
+        **_blocks(voxels),
         "origin_m": np.array(voxels.origin_m),
         "poses": np.array([pose.numbers for pose in remap.poses]).reshape(-1, 6),
         **state,
     }
+
+
+def _blocks(voxels: VoxelMap) -> dict[str, Any]:
+    """A map's blocks, or which there are of a map on disk, whose tiles hold the rest."""
+    if not voxels.in_memory:
+        return {"coords": voxels.coords, "bits": np.array(voxels.bits)}
+    arrays = {"coords": voxels.coords, "log_odds": voxels.log_odds, "seen": voxels.seen}
+    return {name: array.copy() for name, array in arrays.items()}
 
 
 def _write(path: Path, arrays: dict[str, Any]) -> None:
@@ -182,6 +198,10 @@ def take_over(before: Path, folder: Path) -> None:
         _link(file, folder / RECORDINGS / file.name)
     if (before / CHECKPOINT).is_file():
         _link(before / CHECKPOINT, folder / CHECKPOINT)
+    for file in [file for file in (before / MAP).rglob("*") if file.is_file()]:
+        place = folder / MAP / file.relative_to(before / MAP)  # a tile is replaced, not changed
+        place.parent.mkdir(parents=True, exist_ok=True)
+        _link(file, place)
 
 
 def _link(file: Path, place: Path) -> None:
@@ -200,7 +220,11 @@ def remember(remap: Remap, folder: Path) -> list[dict[str, Any]]:
     Raises:
         ResultError: The checkpoint is another mapper's.
     """
-    done = _load(remap, folder / CHECKPOINT) if (folder / CHECKPOINT).is_file() else {}
+    store = remap.mapper.voxels.store
+    file = folder / (MAP if isinstance(store, TileStore) else "") / CHECKPOINT
+    done = _load(remap, file) if file.is_file() else {}
+    if isinstance(store, TileStore) and not done:
+        store.files.clear()
     parts: list[dict[str, Any]] = []
     for file in sorted((folder / RECORDINGS).glob("*.mcap")):
         pings, mapped = _remembered(remap, file, done.get(file.name, 0))
@@ -239,9 +263,13 @@ def _load(remap: Remap, path: Path) -> dict[str, int]:
     mapper: Mapper = remap.mapper
     if told["mapper"] != mapper.name or told["settings"] != remap.settings.model_dump():
         raise ResultError(f"{path}: was made with other settings; give another --out")
-    blocks = (arrays[name] for name in ("coords", "log_odds", "seen", "origin_m"))
     own = mapper.voxels
-    mapper.voxels = map_from_blocks(path, remap.settings.voxel_m, *blocks)
+    if isinstance(own.store, TileStore):
+        own.store.recall(arrays["coords"], int(arrays["bits"]))
+        own.origin_m = origin_of(path, arrays["origin_m"])
+    else:
+        blocks = (arrays[name] for name in ("coords", "log_odds", "seen", "origin_m"))
+        mapper.voxels = map_from_blocks(path, remap.settings.voxel_m, *blocks)
     state = {
         name.removeprefix("state_"): arrays[name] for name in arrays if name.startswith("state_")
     }

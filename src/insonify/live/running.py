@@ -20,7 +20,7 @@ from insonify.mapping.factory import MAPPERS, make_mapper
 from insonify.mapping.mapper import check_voxels
 from insonify.mission.remap import Remap
 from insonify.mission.result import MapResult
-from insonify.results.map import MapConfig
+from insonify.results.map import MapConfig, mapper_for
 from insonify.types import Box, FanGeometry, Ping, Pose
 
 _log = logging.getLogger(__name__)
@@ -35,6 +35,8 @@ class Order:
         region: Where entropy is counted; by default around what is occupied.
         target: The folder.
         force: Replace the results in it.
+        memory_bytes: What the map's blocks may take in memory, the others being on disk; by
+            default all are in memory.
         job: What the next start must have in common with one that was killed to go on with its
             pings; nothing if none shall.
     """
@@ -43,6 +45,7 @@ class Order:
     region: Box | None
     target: Path
     force: bool = False
+    memory_bytes: int | None = None
     job: str = ""
 
 
@@ -68,9 +71,9 @@ def run_session(
     with result_folder(
         order.target, force=order.force, job=order.job, progress=kept_bytes
     ) as place:
-        remap = Remap(
-            config.mapping, make_mapper(config.mapper, config.mapping, config.mapper_options)
-        )
+        if place.before is not None:
+            take_over(place.before, place.scratch)
+        remap = Remap(config.mapping, mapper_for(config, place.scratch, order.memory_bytes))
         check_voxels(remap.mapper, config.mapping)
         keeper = _keeper(place, remap)
         session = Session(poser, remap, [keeper.watch, *watchers])
@@ -108,7 +111,6 @@ def _keeper(place: ResultFolder, remap: Remap) -> Keeper:
     """Who keeps the session's pings, after what an earlier start has kept."""
     if place.before is None:
         return Keeper(place.scratch)
-    take_over(place.before, place.scratch)
     parts = remember(remap, place.scratch)
     _log.info("going on after %d pings of a session that ended unasked", _pings(parts))
     return Keeper(place.scratch, parts)

@@ -27,6 +27,12 @@ class BayesMapper:
     """The papers' mapper: each ping adds log-odds to every voxel it speaks about.
 
     It also serves as the base of mappers that change one thing of it.
+
+    Attributes:
+        settings: As given.
+        voxels: The map.
+        within: From which block to which (3,), both included, it maps alone; by default all.
+            Whatever these are, what is mapped of a block is the same.
     """
 
     name = "bayes"
@@ -34,6 +40,7 @@ class BayesMapper:
     def __init__(self, settings: MappingSettings, voxels: VoxelMap | None = None) -> None:
         """An empty map, or one to go on with."""
         self.settings = settings
+        self.within: tuple[Int32, Int32] | None = None
         self.voxels = VoxelMap(settings.voxel_m) if voxels is None else voxels
         bayes = settings.bayes
         self._evidence = np.array(
@@ -50,7 +57,9 @@ class BayesMapper:
         """Update every voxel inside the fan (eq. 2)."""
         geometry = ping.geometry
         transform = world_from_sonar(pose, geometry.mount)
-        blocks = blocks_in_fan(transform, geometry, self.voxels.block_m)
+        blocks = blocks_in_fan(transform, geometry, self.voxels.block_m, self.within)
+        if not len(blocks):
+            return
         # neighbours far apart in the list: two threads then share near and far blocks evenly
         blocks = np.ascontiguousarray(np.vstack([blocks[::2], blocks[1::2]]))
         held = self.voxels.hold(blocks)

@@ -55,11 +55,25 @@ def in_fan(
     return math.sqrt(square), azimuth
 
 
-def blocks_in_fan(transform: Float64, geometry: FanGeometry, block_m: float) -> Int32:
-    """Indices (N, 3) of all blocks that a fan at ``world_from_sonar`` touches, a few more too."""
-    box = fan_box(transform, geometry)
-    low = np.floor(np.array(box.low_m) / block_m).astype(np.int32)
-    high = np.floor(np.array(box.high_m) / block_m).astype(np.int32)
+def blocks_in_fan(
+    transform: Float64,
+    geometry: FanGeometry,
+    block_m: float,
+    within: tuple[Int32, Int32] | None = None,
+) -> Int32:
+    """Indices (N, 3) of all blocks that a fan at ``world_from_sonar`` touches, a few more too.
+
+    Args:
+        transform: ``world_from_sonar``, (4, 4).
+        geometry: The fan's.
+        block_m: Edge length of a block.
+        within: Only those from a block to another (3,), both included.
+    """
+    low, high = block_span(fan_box(transform, geometry), block_m)
+    if within is not None:
+        low, high = np.maximum(low, within[0]), np.minimum(high, within[1])
+        if (low > high).any():
+            return np.empty((0, 3), np.int32)
     return _cull(
         low,
         high,
@@ -70,6 +84,13 @@ def blocks_in_fan(transform: Float64, geometry: FanGeometry, block_m: float) -> 
         geometry.range_min_m,
         geometry.range_max_m,
     )
+
+
+def block_span(box: Box, block_m: float) -> tuple[Int32, Int32]:
+    """The least and the largest index (3,) of the blocks that a box touches."""
+    low = np.floor(np.array(box.low_m) / block_m).astype(np.int32)
+    high = np.floor(np.array(box.high_m) / block_m).astype(np.int32)
+    return low, high
 
 
 def fan_box(transform: Float64, geometry: FanGeometry) -> Box:

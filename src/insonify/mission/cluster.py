@@ -1,9 +1,10 @@
-"""The workers of a Dask cluster as a crew."""
+"""The workers of a Dask cluster as a crew: they fly runs, or do other work of ours."""
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from functools import cache
 from typing import Any, Self
 
@@ -11,9 +12,9 @@ from insonify import __version__
 from insonify.errors import ClusterError, InsonifyError, reason
 from insonify.extras import optional
 from insonify.jit import kernels_digest
-from insonify.mission.crew import Crew, Failure, Outcome, Place, fly_run, pin_kernels
-from insonify.mission.setup import Config
+from insonify.mission.crew import Crew, Failure, Place, fly_run, pin_kernels
 
+Work = Callable[[Any], Any]
 _ANSWER_S = 10
 _MOMENT_S = 0.5
 _ONE_AT_A_TIME = threading.Lock()
@@ -24,22 +25,29 @@ class Cluster(Crew):
     """A Dask cluster that runs already.
 
     A worker of its flies one run at a time, and its kernels use as many threads as the worker has.
+
+    Attributes:
+        threads: Of all workers.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(
+        self, address: str, work: Work = fly_run, what: str = "a campaign on a cluster"
+    ) -> None:
         """Call the scheduler.
 
         Args:
             address: As in ``tcp://10.0.0.1:8786``, or ``host:port``.
+            work: What a worker does with what it is given, a function of a module.
+            what: That in words, for messages.
 
         Raises:
             ClusterError: Nothing answers there, or a worker has another insonify.
             MissingExtraError: Dask is not installed.
         """
-        self._dask: Any = optional("distributed", "cluster", "a campaign on a cluster")
+        self._dask: Any = optional("distributed", "cluster", what)
         for name in ("distributed.client", "distributed.core", "distributed.comm"):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # we say it in a sentence
-        self._address = address
+        self._address, self._work = address, work
         self._flying: dict[Any, Place] = {}
         try:
             self._client = self._dask.Client(address, timeout=_ANSWER_S, set_as_default=False)
@@ -56,7 +64,7 @@ class Cluster(Crew):
 
     def _check_workers(self) -> None:
         """Refuse workers that would make something else, before the first run."""
-        self._threads: int = sum(self._client.nthreads().values())
+        self.threads: int = sum(self._client.nthreads().values())
         answers = self._client.run(own_version, on_error="return")
         for worker, answer in answers.items():
             if answer != own_version():
@@ -64,15 +72,15 @@ class Cluster(Crew):
 
     def room(self) -> int:
         """Two for each thread there is, so that none waits for work."""
-        return max(2, 2 * self._threads) - len(self._flying)
+        return max(2, 2 * self.threads) - len(self._flying)
 
-    def take(self, place: Place, config: Config) -> None:
-        """Send a run to the scheduler."""
-        future = self._client.submit(fly_on_worker, config, own_version(), pure=False)
+    def take(self, place: Place, config: Any) -> None:
+        """Send a run, or what else the work is done with, to the scheduler."""
+        future = self._client.submit(do_on_worker, self._work, config, own_version(), pure=False)
         self._flying[future] = place
 
-    def landed(self) -> list[tuple[Place, Outcome]]:
-        """The runs that came back; one whose worker died again and again has failed.
+    def landed(self) -> list[tuple[Place, Any]]:
+        """What came back; a run whose worker died again and again has failed.
 
         Raises:
             ClusterError: The scheduler is gone, or a worker has another insonify.
@@ -87,16 +95,15 @@ class Cluster(Crew):
         if self._client.status != "running":
             raise self._lost()
         try:
-            self._threads = sum(self._client.nthreads().values())  # workers come and go
+            self.threads = sum(self._client.nthreads().values())  # workers come and go
         except OSError as err:
             raise self._lost() from err
         over = [future for future in self._flying if future.done()]
         return [(self._flying.pop(future), self._outcome(future)) for future in over]
 
-    def _outcome(self, future: Any) -> Outcome:
+    def _outcome(self, future: Any) -> Any:
         if future.status == "finished":
-            outcome: Outcome = future.result()
-            return outcome
+            return future.result()
         if future.status != "error":
             raise self._lost()
         err = future.exception()
@@ -106,7 +113,7 @@ class Cluster(Crew):
             raise ClusterError(_other(self._address, "a worker", err))
         if type(err).__name__ == "KilledWorker":
             return Failure(
-                "the workers that flew it died, one after another, most likely for want of memory; "
+                "the workers that had it died, one after another, most likely for want of memory; "
                 "give them more, or fewer threads"
             )
         return Failure(f"{type(err).__name__}: {reason(err)}")
@@ -134,15 +141,15 @@ def own_version() -> str:
     return f"{__version__}, kernels {kernels_digest()}"
 
 
-def fly_on_worker(config: Config, version: str) -> Outcome:
-    """On a worker: a run, unless it would be another one than was asked for."""
+def do_on_worker(work: Work, config: Any, version: str) -> Any:
+    """On a worker: the work, unless something else would come of it than was asked for."""
     if own_version() != version:
         raise ClusterError(_other("", "a worker", own_version(), version))
     with _ONE_AT_A_TIME:
         from distributed import get_worker
 
         pin_kernels(get_worker().state.nthreads)
-        return fly_run(config)
+        return work(config)
 
 
 def _other(address: str, worker: str, has: object, here: str | None = None) -> str:

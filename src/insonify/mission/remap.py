@@ -139,13 +139,26 @@ def map_recordings(
         mapper = make_mapper("bayes", settings)
     check_voxels(mapper, settings)
     remap = Remap(settings, mapper)
+    go_through(remap, recordings, watch, should_stop)
+    settle_region(remap, region)
+    return remap
+
+
+def go_through(
+    remap: Remap,
+    recordings: Sequence[Recording],
+    watch: Watch,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> None:
+    """Hand the pings of recordings to a map's mapper, and note what went into it.
+
+    See `map_recordings`.
+    """
     for recording in recordings:
         _map_one(remap, recording, watch, should_stop)
         remap.mapper.finish_scan()
         if should_stop():
             break
-    settle_region(remap, region)
-    return remap
 
 
 def settle_region(remap: Remap, region: Box | None) -> None:
@@ -209,9 +222,9 @@ def map_ping(remap: Remap, told: PosedPing, source: str) -> PosedPing:
     """
     since = time.perf_counter()
     voxels = remap.mapper.voxels
-    if told.pose is not None and not voxels.block_count:
+    if told.pose is not None and not voxels.block_count and not remap.pings:
         voxels.origin_m = _origin(told.pose, voxels.block_m)
-    posed = _moved(told, voxels.origin_m)
+    posed = moved(told, voxels.origin_m)
     if posed.pose is not None:
         _check_reach(remap, source, posed.pose)
         _check_memory(remap, posed.ping.geometry)
@@ -266,7 +279,7 @@ def _map_one(
     )
 
 
-def _moved(posed: PosedPing, origin_m: tuple[float, float, float]) -> PosedPing:
+def moved(posed: PosedPing, origin_m: tuple[float, float, float]) -> PosedPing:
     """A ping in the map's own frame."""
     if posed.pose is None or not any(origin_m):
         return posed

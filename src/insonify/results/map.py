@@ -44,7 +44,8 @@ def mapper_for(config: MapConfig, folder: Path, memory_bytes: int | None = None)
     Args:
         config: How it maps.
         folder: Which exists.
-        memory_bytes: What the map's blocks may take in memory; the others are in ``map.zarr``.
+        memory_bytes: What the map's blocks may take in memory; the others are in ``map.zarr``,
+            also those that an earlier mapper wrote there, if the store is told of them.
 
     Raises:
         ConfigError: It cannot be had, or keeps more than its map.

@@ -42,6 +42,9 @@ class TileStore:
     What is held is written to disk when other tiles need its memory, the tile longest unused first,
     and by `flush`.  Every method may move blocks in memory: arrays of `hold` are good until the
     next call.
+
+    Attributes:
+        files: Where its tiles are.
     """
 
     in_memory = False
@@ -62,7 +65,7 @@ class TileStore:
                 f"--memory: {memory_bytes / 1e6:.3g} MB are too little for a map's blocks; give "
                 f"{LEAST_BYTES / 1e6:.0f}MB or more"
             )
-        self._files, self._writable = files, writable
+        self.files, self._writable = files, writable
         capacity = memory_bytes // BYTES_PER_BLOCK
         self._log_odds = np.zeros((capacity, VOXELS_PER_BLOCK), np.float32)
         self._seen = np.zeros((capacity, VOXELS_PER_BLOCK), np.uint8)
@@ -79,14 +82,18 @@ class TileStore:
 
     @classmethod
     def new(cls, folder: Path, memory_bytes: int) -> Self:
-        """An empty store in a folder, which is made.
+        """A store without blocks in a folder, which is made if it is not there.
+
+        What it held at its last flush can be made known again by `recall`, or forgotten by
+        ``files.clear()``.
 
         Raises:
             MemoryLimitError: The memory is too little.
             MissingExtraError: The package zarr is not installed.
         """
         store = cls(TileFiles(folder), memory_bytes)
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
+        store.files.recover()
         return store
 
     @classmethod
@@ -199,15 +206,15 @@ class TileStore:
     def flush(self, also: Iterable[str] = ()) -> None:
         """Write what is in memory and not on disk; see `TileFiles.commit`."""
         self._write(np.flatnonzero(self._dirty[: len(self._rows)]))
-        self._files.commit(also)
+        self.files.commit(also)
 
     def settle(self, voxel_m: float, origin_m: tuple[float, float, float]) -> None:
         """Flush, and make the folder a map that others open; the store can then be read alone."""
         coords = self.coords
         self.flush()
         filled = self._exists[: len(self._rows)].any(axis=1)
-        self._files.settle(self._tiles[: len(self._rows)][filled])
-        describe(self._files.folder, coords, self._files.first, voxel_m, origin_m, self.bits)
+        self.files.settle(self._tiles[: len(self._rows)][filled])
+        describe(self.files.folder, coords, self.files.first, voxel_m, origin_m, self.bits)
         self._writable = False
 
     def _rows_of(self, tiles: Int32, *, make: bool) -> tuple[Int64, Int64]:
@@ -249,7 +256,7 @@ class TileStore:
         for row in absent:
             places = np.flatnonzero(self._exists[row])
             if len(places):
-                log_odds, seen = self._files.read(self._tiles[row])
+                log_odds, seen = self.files.read(self._tiles[row])
                 slots = self._take(len(places))
                 self._log_odds[slots], self._seen[slots] = log_odds[places], seen[places]
                 self._slots[row, places] = slots
@@ -283,7 +290,7 @@ class TileStore:
 
     def _write(self, rows: Int64) -> None:
         for start in range(0, len(rows), _AT_ONCE):
-            self._files.write(self._whole(row) for row in rows[start : start + _AT_ONCE])
+            self.files.write(self._whole(row) for row in rows[start : start + _AT_ONCE])
         self._dirty[rows] = False
 
     def _whole(self, row: int) -> tuple[Int32, Float32, Array]:

@@ -9,6 +9,7 @@ library does; the rest of the group is written by the library.
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -92,18 +93,22 @@ class TileFiles:
     in place: after a kill and `recover` the group is as it was at the last commit.
     """
 
-    def __init__(self, folder: Path, first: Iterable[int] = (-FARTHEST_TILE,) * 3) -> None:
+    def __init__(
+        self, folder: Path, first: Iterable[int] = (-FARTHEST_TILE,) * 3, name: str = "commit"
+    ) -> None:
         """Chunks of a folder, there or not.
 
         Args:
             folder: The group.
             first: The tile of chunk 0, 0, 0.
+            name: Of whoever writes, if there are others that write other tiles.
         """
         zarr_package("a .zarr map")
         import google_crc32c
         from numcodecs.zstd import Zstd  # type: ignore[import-untyped]
 
         self.folder, self.first = folder, np.array(list(first), np.int64)
+        self._commit = folder / f"{name}.txt"
         self._crc, self._zstd = google_crc32c.value, Zstd(level=_LEVEL)
         self._pool = ThreadPoolExecutor(2)  # the codec works outside of Python's lock
         self._pending: set[tuple[int, ...]] = set()
@@ -169,29 +174,33 @@ class TileFiles:
         """
         paths = [self._path(name, key) for key in sorted(self._pending) for name in _ARRAYS]
         listed = [str(path.relative_to(self.folder)) for path in paths] + list(also)
-        part = self.folder / f"{COMMIT}.part"
+        part = self._commit.with_suffix(".part")
         part.write_text("".join(f"{name}\n" for name in listed), encoding="utf-8")
         os.sync()  # with the disk, before what was there goes
-        part.replace(self.folder / COMMIT)
+        part.replace(self._commit)
         self._finish()
         self._pending.clear()
+
+    def clear(self) -> None:
+        """Remove all that is in the folder."""
+        shutil.rmtree(self.folder)
+        self.folder.mkdir()
 
     def recover(self) -> None:
         """Do what is left of a commit that was begun; remove what was never committed."""
         self._finish()
-        (self.folder / f"{COMMIT}.part").unlink(missing_ok=True)
+        self._commit.with_suffix(".part").unlink(missing_ok=True)
         for path in self.folder.rglob("*.new"):
             path.unlink()
 
     def _finish(self) -> None:
-        commit = self.folder / COMMIT
-        if not commit.is_file():
+        if not self._commit.is_file():
             return
-        for line in commit.read_text(encoding="utf-8").splitlines():
+        for line in self._commit.read_text(encoding="utf-8").splitlines():
             fresh = self.folder / f"{line}.new"
             if fresh.is_file():  # those moved before a kill are there already
                 fresh.replace(self.folder / line)
-        commit.unlink()
+        self._commit.unlink()
 
     def settle(self, tiles: Int32) -> None:
         """Let the chunks begin at 0, 0, 0 with the least of tiles (N, 3), which are all there are.
@@ -217,9 +226,6 @@ class TileFiles:
 
     def _path(self, name: str, key: tuple[int, ...]) -> Path:
         return self.folder.joinpath(name, "c", *map(str, key))
-
-
-COMMIT = "commit.txt"
 
 
 def _remove_empty(folder: Path) -> None:
