@@ -27,6 +27,8 @@ MEMORY = ("--memory", f"{LIMIT / 1e6:f}MB")
 def folder(tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording whose map at 0.1 m takes more than the limit, which is small."""
     monkeypatch.setattr(ondisk, "LEAST_BYTES", 100)
+    for name in ("_PICKED_BYTES", "_DENSE_BYTES"):  # what is picked would not fit there
+        monkeypatch.setattr(f"insonify.mapping.voxels.{name}", 1e-9)
     monkeypatch.chdir(tmp_path)
     images = np.where(rng.random((40, 32, 16)) > 0.95, 0.9, 0.0).astype(np.float32)
     pings = [

@@ -114,9 +114,10 @@ def plan(
     device = _device(file, sonar)
     origin_m = mapper.voxels.origin_m
     pose = told.relative_to(origin_m)
-    box = _region(file, mapper.voxels)
     if region is not None:
         box = box_from_text(region).relative_to(origin_m)
+    else:
+        box = _region(file, mapper.voxels)
     decision = plan_next(mapper, device.geometry, box, pose, entropy, waypoints)
     document = _describe(decision, pose, box, origin_m)
     if decision.path is not None:

@@ -247,7 +247,7 @@ def _even(extent: float, count: int) -> Float64:
 class _Derived:
     """The map's own voxels, read off those inside when they are asked for (a `BlockStore`)."""
 
-    in_memory = True
+    memory_bytes: int | None = None
 
     def __init__(self, inside: int, fine: MemoryStore, papers: VoxelMap) -> None:
         self._inside, self._fine, self._papers = inside, fine, papers

@@ -61,7 +61,8 @@ class BlockStore(Protocol):
     their rows, are there in memory alone; a store on disk refuses them.
     """
 
-    in_memory: bool
+    memory_bytes: int | None
+    """What blocks may take in memory, the others being on disk; None if all are in memory."""
 
     @property
     def count(self) -> int:
@@ -102,7 +103,7 @@ class BlockStore(Protocol):
 class MemoryStore:
     """Arrays that double when they are full; a block's row is the order in which it was made."""
 
-    in_memory = True
+    memory_bytes: int | None = None
 
     def __init__(self) -> None:
         """No blocks."""

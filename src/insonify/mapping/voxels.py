@@ -68,9 +68,9 @@ __all__ = [
 FARTHEST_BLOCK = 1_000_000
 MOST_DENSE = 150_000_000
 """Voxels of a dense copy for pictures."""
-_DENSE_BYTES = 17
-"""Of a voxel in `VoxelMap.to_xarray`, while it is made."""
-_PICKED_BYTES = 64
+_DENSE_BYTES = 24
+"""Of a voxel in a window, and in what is commonly made of it."""
+_PICKED_BYTES = 128
 """Of a voxel in `VoxelMap.select`, and in what is commonly made of it."""
 
 
@@ -110,7 +110,7 @@ class VoxelMap(Told):
     @property
     def in_memory(self) -> bool:
         """Whether all of it is kept in memory."""
-        return self.store.in_memory
+        return self.store.memory_bytes is None
 
     @property
     def block_count(self) -> int:
@@ -198,12 +198,8 @@ class VoxelMap(Told):
         found: list[Voxels] = []
         for part in self.parts(box):
             found.append(picked(part, pick(part)))
-            needed = float(_PICKED_BYTES * len(found[-1].index))
-            if not memory.fits(needed):
-                raise MemoryLimitError(
-                    f"so many voxels of this map need {memory.shortage(needed)}; take a part of it "
-                    "(--region)"
-                )
+            count = sum(len(some.index) for some in found)
+            self._check_memory("so many voxels of this map", float(_PICKED_BYTES * count))
         none = Voxels(np.empty((0, 3), np.int64), np.empty(0, np.float32), np.empty(0, np.uint8))
         if len(found) == 1:
             return found[0]
@@ -237,20 +233,19 @@ class VoxelMap(Told):
         return np.asarray((voxels.index + 0.5) * self.voxel_m, np.float64)
 
     def around_occupied(self) -> Box:
-        """The occupied voxels and a block around them; all of the map if none is occupied.
-
-        An empty map gives the block at the origin.
-        """
+        """The occupied voxels and a block around them; `extent` if none is occupied."""
         corners: list[Int64] = []
         for part in self.parts():
             index = picked(part, part.log_odds > 0.0).index
             if len(index):
                 corners += [index.min(axis=0), index.max(axis=0)]
-        if corners:
-            low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-            return Box.of((low + 0.5) * self.voxel_m, (high + 0.5) * self.voxel_m).grown(
-                self.block_m
-            )
+        if not corners:
+            return self.extent()
+        low, high = np.min(corners, axis=0), np.max(corners, axis=0)
+        return Box.of((low + 0.5) * self.voxel_m, (high + 0.5) * self.voxel_m).grown(self.block_m)
+
+    def extent(self) -> Box:
+        """All blocks; of an empty map the block at the origin."""
         coords = self.store.coords if self.block_count else np.zeros((1, 3), np.int32)
         low, high = coords.min(axis=0), coords.max(axis=0) + 1
         return Box.of(low * self.block_m, high * self.block_m)
@@ -276,7 +271,7 @@ class VoxelMap(Told):
             MemoryLimitError: It would not fit into free memory.
         """
         low, high = self.span(box)
-        self._check_dense(box, BYTES_PER_VOXEL)
+        self._check_dense(box)
         log_odds = np.zeros(high - low, np.float32)
         seen = np.zeros(high - low, np.uint8)
         if log_odds.size:
@@ -286,16 +281,17 @@ class VoxelMap(Told):
         return VoxelWindow(first, self.voxel_m, log_odds, seen, self.marked)
 
     def overview(self, box: Box) -> VoxelWindow:
-        """The same, coarser where it has more than `MOST_DENSE` voxels.
+        """The same, coarser where it has more than `MOST_DENSE` voxels, or than memory is given to.
 
         A voxel of it is then a cube of some blocks, and has the largest log-odds of their voxels,
         and all that was seen of them.
         """
         count = math.prod(size / self.voxel_m for size in box.size_m)
-        if count <= MOST_DENSE:
+        most = min(MOST_DENSE, (self.store.memory_bytes or math.inf) / _DENSE_BYTES)
+        if count <= most:
             return self.window(box)
         blocks = 1
-        while count / (BLOCK * blocks) ** 3 > MOST_DENSE:
+        while count / (BLOCK * blocks) ** 3 > most:
             blocks *= 2
         low, high = self.span(box)
         low, high = low // (BLOCK * blocks), -(-high // (BLOCK * blocks))
@@ -342,7 +338,6 @@ class VoxelMap(Told):
         """
         xarray = optional("xarray", "datasets", "to_xarray")
         box = self.around_occupied() if box is None else box
-        self._check_dense(box, _DENSE_BYTES)
         window = self.window(box)
         layers = {
             "probability": (window.probability, "occupancy probability"),
@@ -365,14 +360,21 @@ class VoxelMap(Told):
         )  # fmt: skip
         return found
 
-    def _check_dense(self, box: Box, bytes_per_voxel: int) -> None:
-        needed = bytes_per_voxel * float(np.prod(np.divide(box.size_m, self.voxel_m)))
-        if not memory.fits(needed):
-            raise MemoryLimitError(
-                f"a dense copy of {' x '.join(f'{size:.3g}' for size in box.size_m)} m in voxels "
-                f"of {self.voxel_m:g} m would need {memory.shortage(needed)}; give a smaller box "
-                "(--region)"
-            )
+    def _check_dense(self, box: Box) -> None:
+        size = " x ".join(f"{size:.3g}" for size in box.size_m)
+        needed = _DENSE_BYTES * float(np.prod(np.divide(box.size_m, self.voxel_m)))
+        self._check_memory(f"{size} m in voxels of {self.voxel_m:g} m", needed)
+
+    def _check_memory(self, what: str, needed: float) -> None:
+        """Refuse what would not fit into free memory, or that which the map is given."""
+        limit = self.store.memory_bytes
+        if limit is not None and needed > limit:
+            short = f"about {needed / 1e6:.3g} MB, and --memory gives {limit / 1e6:.3g} MB"
+        elif not memory.fits(needed):
+            short = memory.shortage(needed)
+        else:
+            return
+        raise MemoryLimitError(f"{what} would need {short}; give a smaller part (--region)")
 
 
 def touching(coords: Int32, block_m: float, box: Box) -> Bool:

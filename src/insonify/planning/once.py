@@ -9,10 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from insonify.mapping.mapper import Belief
-from insonify.mapping.voxels import VoxelMap, picked
+from insonify.mapping.voxels import VoxelMap
 from insonify.planning.active import EntropyPlanner, EntropySettings
 from insonify.planning.decision import Decision, SurveyArea
 from insonify.types import Box, FanGeometry, Float64, Nav, Pose, ScanPath
+
+_FIRST_REACH_M = 10.0
 
 
 def plan_next(
@@ -41,20 +43,18 @@ def plan_next(
 def clearance_m(voxels: VoxelMap, way: Sequence[Pose]) -> float:
     """Least distance of a way's straight legs to the surface of an occupied voxel."""
     corners = np.array([pose.position_m for pose in way])
-    around = Box.of(corners.min(axis=0), corners.max(axis=0))
-    nearest = math.inf
-    for part in voxels.parts():
-        occupied = voxels.centres_m(picked(part, part.log_odds > 0.0))
-        if len(occupied) and _apart_m(around, occupied) < nearest:
-            legs = pairwise([*way, way[-1]])
-            nearest = min(nearest, *(_nearest_m(occupied, *leg) for leg in legs))
-    return max(0.0, nearest - half_diagonal_m(voxels))
-
-
-def _apart_m(box: Box, points_m: Float64) -> float:
-    """How far points (N, 3) are from a box at least."""
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    return math.hypot(*np.maximum(np.maximum(low - box.high_m, np.array(box.low_m) - high), 0.0))
+    around, extent = Box.of(corners.min(axis=0), corners.max(axis=0)), voxels.extent()
+    reach_m = _FIRST_REACH_M
+    while True:  # farther and farther: most of a large map is far away
+        box = around.grown(reach_m)
+        occupied = voxels.occupied_m(box)
+        nearest_m = min(_nearest_m(occupied, *leg) for leg in pairwise([*way, way[-1]]))
+        whole = np.all(np.less(box.low_m, extent.low_m)) and np.all(
+            np.greater(box.high_m, extent.high_m)
+        )
+        if nearest_m <= reach_m or whole:
+            return max(0.0, nearest_m - half_diagonal_m(voxels))
+        reach_m *= 4.0
 
 
 def half_diagonal_m(voxels: VoxelMap) -> float:

@@ -29,6 +29,8 @@ BOX = Box((-4.0, -9.0, -3.0), (11.0, 6.5, 2.0))
 @pytest.fixture(autouse=True)
 def _little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ondisk, "LEAST_BYTES", SMALL)
+    for name in ("_PICKED_BYTES", "_DENSE_BYTES"):  # what is picked would not fit there
+        monkeypatch.setattr(f"insonify.mapping.voxels.{name}", 1e-9)
 
 
 def _walk(rng: np.random.Generator, steps: int) -> Iterator[tuple[Array, Array, Array]]:
@@ -161,6 +163,28 @@ def test_what_only_memory_has_is_refused_and_so_is_too_little(tmp_path: Path) ->
     lazy = load_map(tmp_path / "work.zarr", memory_bytes=SMALL)
     with pytest.raises(TypeError, match="cannot be written"):
         lazy.hold(many[:2])
+
+
+def test_more_than_the_limit_is_not_taken_out_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, disk = _both(tmp_path, 7, steps=8)
+    monkeypatch.setattr("insonify.mapping.voxels._PICKED_BYTES", 128)
+    monkeypatch.setattr("insonify.mapping.voxels._DENSE_BYTES", 24)
+    most = SMALL // 128
+    some = disk.select(lambda part: part.log_odds > 8.0)
+    assert 0 < len(some.index) <= most < disk.count(lambda part: part.log_odds > 0.0)
+    with pytest.raises(MemoryLimitError, match=r"--memory gives 3.07 MB; .*--region"):
+        disk.select()
+    with pytest.raises(MemoryLimitError, match="--region"):
+        save_map(disk, tmp_path / "m.ot")
+    box = Box((0.0, 0.0, 0.0), (12.5, 12.5, 12.5))  # 125,000 voxels
+    with pytest.raises(MemoryLimitError, match=r"14.5 x 14.5 x 14.5 m in voxels of 0.25 m"):
+        disk.window(box.grown(1.0))
+    assert disk.window(box).log_odds.shape == (50, 50, 50)
+    assert disk.overview(box.grown(1.0)).voxel_m == 2.0
+    save_map(disk, tmp_path / "m.npz")
+    save_map(disk, tmp_path / "m.xyz")
 
 
 def test_damage_is_found_when_a_tile_is_read(tmp_path: Path) -> None:

@@ -12,14 +12,15 @@ the root mean square distance of that first voxel from the height, and a voxel's
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from insonify.errors import OutputError
-from insonify.mapping.voxels import OBSERVED, VoxelMap
-from insonify.types import Float32
+from insonify.mapping.voxels import BLOCK, OBSERVED, VoxelMap, picked
+from insonify.types import Float32, Float64, Int64
 
 MOST_CELLS = 100_000_000
 
@@ -49,30 +50,50 @@ def height_grid(voxels: VoxelMap, path: Path) -> HeightGrid:
     Raises:
         OutputError: No voxel is occupied, or the grid would be too large.
     """
-    observed = voxels.select(lambda part: (part.seen & OBSERVED) > 0)
-    index, log_odds = observed.index, observed.log_odds.astype(np.float64)
-    if not (log_odds > 0).any():
+    found = [_tops(index, log_odds) for index, log_odds in _columns(voxels)]
+    places, top, spread = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    if not len(places):
         raise OutputError(
             f"{path.name}: the map holds no occupied voxel, so that it has no heights"
         )
+    return _grid(path, voxels, places, top, spread)
+
+
+def _columns(voxels: VoxelMap) -> Iterator[tuple[Int64, Float64]]:
+    """The observed voxels (N, 3), and their log-odds, some columns at a time, each whole."""
+    index, log_odds = np.empty((0, 3), np.int64), np.empty(0)
+    for part in voxels.parts(order="ascending"):
+        some = picked(part, (part.seen & OBSERVED) > 0)
+        index = np.concatenate([index, some.index])
+        log_odds = np.concatenate([log_odds, some.log_odds])
+        open_ = (index[:, :2] // BLOCK == part.coords[-1, :2]).all(axis=1)  # the next has more
+        yield index[~open_], log_odds[~open_]
+        index, log_odds = index[open_], log_odds[open_]
+    yield index, log_odds
+
+
+def _tops(index: Int64, log_odds: Float64) -> tuple[Int64, Float64, Float64]:
+    """Of columns in which a voxel is occupied: x and y (N, 2), the highest such, its spread."""
+    if not len(index):
+        return np.empty((0, 2), np.int64), np.empty(0), np.empty(0)
     order = np.lexsort((-index[:, 2], index[:, 1], index[:, 0]))
     index, log_odds = index[order], log_odds[order]
-    column = np.r_[True, (np.diff(index[:, :2], axis=0) != 0).any(axis=1)]
-    which = np.cumsum(column) - 1
-    count = int(which[-1]) + 1
+    begins = np.flatnonzero(np.r_[True, (np.diff(index[:, :2], axis=0) != 0).any(axis=1)])
+    deep = np.diff(np.r_[begins, len(index)])
+    which = np.repeat(np.arange(len(begins)), deep)
+    rank = np.arange(len(index)) - begins[which]
 
     occupied = np.flatnonzero(log_odds > 0)
     columns, first = np.unique(which[occupied], return_index=True)
-    top = np.full(count, np.nan)
+    top = np.full(len(begins), np.nan)
     top[columns] = index[occupied[first], 2]
-    missed = -np.logaddexp(0.0, log_odds)
-    above = np.cumsum(missed) - missed
-    above -= above[np.flatnonzero(column)][which]
+    missed = np.zeros((len(begins), int(deep.max())))
+    missed[which, rank] = -np.logaddexp(0.0, log_odds)
+    above = (np.cumsum(missed, axis=1) - missed)[which, rank]
     weight = np.exp(above - np.logaddexp(0.0, -log_odds))
     moment = np.bincount(which, weight * (index[:, 2] - top[which]) ** 2)
     square = moment / np.bincount(which, weight) + 1.0 / 12.0
-    places = index[np.flatnonzero(column), :2]
-    return _grid(path, voxels, places[columns], top[columns], np.sqrt(square[columns]))
+    return index[begins[columns], :2], top[columns], np.sqrt(square[columns])
 
 
 def _grid(

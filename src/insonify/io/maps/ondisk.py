@@ -45,9 +45,8 @@ class TileStore:
 
     Attributes:
         files: Where its tiles are.
+        memory_bytes: What its blocks may take in memory.
     """
-
-    in_memory = False
 
     def __init__(self, files: TileFiles, memory_bytes: int, *, writable: bool = True) -> None:
         """A store without blocks.
@@ -66,6 +65,7 @@ class TileStore:
                 f"{LEAST_BYTES / 1e6:.0f}MB or more"
             )
         self.files, self._writable = files, writable
+        self.memory_bytes: int | None = memory_bytes
         capacity = memory_bytes // BYTES_PER_BLOCK
         self._log_odds = np.zeros((capacity, VOXELS_PER_BLOCK), np.float32)
         self._seen = np.zeros((capacity, VOXELS_PER_BLOCK), np.uint8)
@@ -271,7 +271,7 @@ class TileStore:
         if needed > (room[-1] if len(room) else self._left):
             raise MemoryLimitError(
                 f"--memory: what is looked at at once takes more than the "
-                f"{len(self._log_odds) * BYTES_PER_BLOCK / 1e6:.0f} MB that are given; give more, "
+                f"{len(self._log_odds) * BYTES_PER_BLOCK / 1e6:.3g} MB that are given; give more, "
                 "or take larger voxels (--voxel)"
             )
         wanted = min(needed + int(_SPARE * len(self._log_odds)), int(room[-1]))
