@@ -55,7 +55,6 @@ def export(
     begin("starting")
     from insonify.io.folders import result_file
     from insonify.io.maps import load_map, save_map
-    from insonify.mapping.voxels import OBSERVED
 
     place = datum_from_text(datum) if datum is not None else None
     if target.suffix == RERUN:
@@ -74,9 +73,7 @@ def export(
         "file": str(target),
         "bytes": sum(path.stat().st_size for path in files),
         "voxel_m": voxels.voxel_m,
-        "observed_voxels": voxels.count(lambda part: (part.seen & OBSERVED) > 0),
-        "occupied_voxels": voxels.count(lambda part: part.log_odds > 0),
-    }
+    } | _counted(voxels)
     if as_json:
         say_json(row)
     else:
@@ -84,6 +81,17 @@ def export(
             f"{target}: {row['bytes']:,} bytes, from {row['observed_voxels']:,} observed voxels of "
             f"{voxels.voxel_m:g} m, {row['occupied_voxels']:,} of them occupied"
         )
+
+
+def _counted(voxels: VoxelMap) -> dict[str, int]:
+    """How many voxels are observed, and occupied."""
+    from insonify.mapping.voxels import OBSERVED
+
+    observed = occupied = 0
+    for part in voxels.parts():
+        observed += int(((part.seen & OBSERVED) > 0).sum())
+        occupied += int((part.log_odds > 0).sum())
+    return {"observed_voxels": observed, "occupied_voxels": occupied}
 
 
 def _to_rerun(source: Path, target: Path, force: bool) -> VoxelMap:

@@ -50,13 +50,33 @@ def height_grid(voxels: VoxelMap, path: Path) -> HeightGrid:
     Raises:
         OutputError: No voxel is occupied, or the grid would be too large.
     """
-    found = [_tops(index, log_odds) for index, log_odds in _columns(voxels)]
-    places, top, spread = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
-    if not len(places):
+    low, high = voxels.span(voxels.extent())
+    across, along = (high - low)[:2].tolist()
+    if across * along > MOST_CELLS:
+        raise OutputError(
+            f"{path.name}: a grid of {across} x {along} cells is too large; "
+            "export a part of the map (--region)"
+        )
+    heights, spreads = np.full((2, along, across), np.nan, np.float32)
+    for index, log_odds in _columns(voxels):
+        places, top, spread = _tops(index, log_odds)
+        rows, columns = along - 1 - (places[:, 1] - low[1]), places[:, 0] - low[0]
+        heights[rows, columns] = (top + 0.5) * voxels.voxel_m + voxels.origin_m[2]
+        spreads[rows, columns] = spread * voxels.voxel_m
+    found = np.isfinite(heights)
+    rows, columns = (np.flatnonzero(found.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
         raise OutputError(
             f"{path.name}: the map holds no occupied voxel, so that it has no heights"
         )
-    return _grid(path, voxels, places, top, spread)
+    kept = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return HeightGrid(
+        float((low[0] + columns[0]) * voxels.voxel_m) + voxels.origin_m[0],
+        float((low[1] + along - rows[0]) * voxels.voxel_m) + voxels.origin_m[1],
+        voxels.voxel_m,
+        heights[kept].copy(),
+        spreads[kept].copy(),
+    )
 
 
 def _columns(voxels: VoxelMap) -> Iterator[tuple[Int64, Float64]]:
@@ -94,31 +114,6 @@ def _tops(index: Int64, log_odds: Float64) -> tuple[Int64, Float64, Float64]:
     moment = np.bincount(which, weight * (index[:, 2] - top[which]) ** 2)
     square = moment / np.bincount(which, weight) + 1.0 / 12.0
     return index[begins[columns], :2], top[columns], np.sqrt(square[columns])
-
-
-def _grid(
-    path: Path, voxels: VoxelMap, places: np.ndarray, top: np.ndarray, spread: np.ndarray
-) -> HeightGrid:
-    """Columns (N, 2) laid out as a grid, rows from north to south."""
-    voxel_m, (east_m, north_m, up_m) = voxels.voxel_m, voxels.origin_m
-    low = places.min(axis=0)
-    width, height = (np.ptp(places, axis=0) + 1).tolist()
-    if width * height > MOST_CELLS:
-        raise OutputError(
-            f"{path.name}: a grid of {width} x {height} cells is too large; "
-            "export a map of one place"
-        )
-    heights, spreads = np.full((2, height, width), np.nan, np.float32)
-    rows, columns = height - 1 - (places[:, 1] - low[1]), places[:, 0] - low[0]
-    heights[rows, columns] = (top + 0.5) * voxel_m + up_m
-    spreads[rows, columns] = spread * voxel_m
-    return HeightGrid(
-        float(low[0] * voxel_m) + east_m,
-        float((low[1] + height) * voxel_m) + north_m,
-        voxel_m,
-        heights,
-        spreads,
-    )
 
 
 def save_xyz(voxels: VoxelMap, path: Path) -> None:
