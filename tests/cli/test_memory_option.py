@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +92,53 @@ def test_what_is_left_is_the_same_but_for_where_the_map_is(folder: Path) -> None
         ours, theirs = (getattr(picture[1], shown) for picture in pictures if picture)
         assert ours.count == theirs.count and ours.times == theirs.times
         assert sorted(map(tuple, ours.index.tolist())) == sorted(map(tuple, theirs.index.tolist()))
+
+
+DIES = """
+import os, signal, sys
+from insonify.cli import app
+from insonify.io.maps import ondisk
+from insonify.results import kept
+
+ondisk.LEAST_BYTES, kept._LEAST_S, kept._SHARE = 100, 0.0, 1e9
+had, integrate = 0, kept.KeptMapper.integrate
+
+def dying(self, ping, pose):
+    global had
+    integrate(self, ping, pose)
+    had += 1
+    if had == int(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+kept.KeptMapper.integrate = dying
+app(sys.argv[2:], standalone_mode=False)
+"""
+
+
+def test_the_same_command_goes_on_after_kills(folder: Path) -> None:
+    _do("map", "r.npz", "--out", "memory")
+    command = ["map", "r.npz", "--out", "disk", *MEMORY]
+    for dies_at in (12, 31):
+        (folder / "dies.py").write_text(DIES)
+        died = subprocess.run(
+            [sys.executable, "dies.py", str(dies_at), *command], cwd=folder, capture_output=True,
+            check=False,
+        )  # fmt: skip
+        assert died.returncode == -signal.SIGKILL, died.stderr
+        assert not (folder / "disk").exists()
+    done = CliRunner().invoke(app, command, catch_exceptions=False)
+    assert "going on after 31 pings that are mapped already" in done.stderr
+    results = [
+        json.loads((folder / name / "result.json").read_text()) for name in ("memory", "disk")
+    ]
+    for result in results:
+        del result["seconds"]
+    assert results[0] == results[1]
+    _do("export", "disk", "disk.npz")
+    assert (folder / "disk.npz").read_bytes() == (folder / "memory" / "map.npz").read_bytes()
+    assert (folder / "disk" / "map.ply").read_bytes() == (folder / "memory/map.ply").read_bytes()
+    assert not list((folder / "disk" / "map.zarr").glob("*.npz*"))
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
 
 
 def test_a_size_is_read_as_people_write_it() -> None:

@@ -15,6 +15,7 @@ from insonify.cli.reading import takes_reading
 from insonify.cli.root import (
     EXIT_INTERRUPTED,
     ConfigOption,
+    Interrupted,
     JsonOption,
     MapperOption,
     MemoryOption,
@@ -33,7 +34,9 @@ from insonify.errors import ConfigError, GeometryError
 
 if TYPE_CHECKING:
     from insonify.config.settings import Table
+    from insonify.io.folders import ResultFolder
     from insonify.io.recordings.recording import Recording
+    from insonify.mapping.mapper import Mapper
     from insonify.mission.remap import Remap, Watch
     from insonify.mission.result import MapResult
     from insonify.results.map import MapConfig
@@ -128,7 +131,8 @@ def map_(
     from insonify.io.folders import result_folder
     from insonify.io.recordings import open_recording
     from insonify.mission.remap import echo_threshold, map_recordings
-    from insonify.results.map import mapper_for, save_remap
+    from insonify.results.kept import kept_pings
+    from insonify.results.map import save_remap
 
     box = box_from_text(region) if region is not None else None
     limit = memory_limit(memory)
@@ -136,21 +140,29 @@ def map_(
     full = map_config(voxel, absolute(mapper), settings, config)
     if threshold is not None and threshold != "auto":
         full = _with_threshold(full, threshold)
-    with result_folder(out, force=force) as place, interruptible() as interrupted:
+    job = "" if limit is None or scheduler else _job(files, reading, full, threshold)
+    with (
+        result_folder(out, force=force, job=job, progress=kept_pings) as place,
+        interruptible() as interrupted,
+    ):
         recordings = [open_recording(file, reading) for file in files]
         if threshold == "auto":
             full = _with_threshold(full, str(echo_threshold(recordings)))
             tell(f"Threshold: {full.mapping.pixel_threshold} of 255")
-        if scheduler is not None:
-            how = (full, place.scratch, limit, scheduler, box)
-            remap = _mapped_on_cluster(recordings, reading, *how, interrupted)
-        else:
-            mapper_used = mapper_for(full, place.scratch, limit)
-            with _progress() as watch:
-                remap = map_recordings(
-                    recordings, full.mapping, box, mapper=mapper_used, watch=watch,
-                    should_stop=interrupted,
-                )  # fmt: skip
+        try:
+            if scheduler is not None:
+                how = (full, place.scratch, limit, scheduler, box)
+                remap = _mapped_on_cluster(recordings, reading, *how, interrupted)
+            else:
+                mapper_used = _mapper_at(place, full, limit)
+                with _progress() as watch:
+                    remap = map_recordings(
+                        recordings, full.mapping, box, mapper=mapper_used, watch=watch,
+                        should_stop=interrupted,
+                    )  # fmt: skip
+        except Interrupted:
+            place.kept = bool(job)
+            raise
         with progress("writing the map and its report"):
             result = save_remap(remap, place.scratch, full)
     if as_json:
@@ -161,6 +173,28 @@ def map_(
     if interrupted():
         tell("insonify: interrupted; what was mapped until then is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _job(files: list[Path], reading: Any, full: MapConfig, threshold: str | None) -> str:
+    """All that decides what a map on disk is, so that the same command goes on after a kill."""
+    stamps = [
+        (str(file.absolute()), file.stat().st_mtime_ns if file.exists() else 0) for file in files
+    ]
+    return repr([full.model_dump(), threshold, reading, stamps])
+
+
+def _mapper_at(place: ResultFolder, full: MapConfig, limit: int | None) -> Mapper:
+    """The mapper of a result; of one on disk, which goes on with what a killed process left."""
+    from insonify.io.maps.ondisk import TileStore, take_over
+    from insonify.results.kept import KeptMapper, kept_pings
+    from insonify.results.map import MAP, mapper_for
+
+    if place.before is not None:
+        take_over(place.before / MAP, place.scratch / MAP)
+        tell(f"insonify: going on after {kept_pings(place.scratch)} pings that are mapped already")
+    mapper = mapper_for(full, place.scratch, limit)
+    store = mapper.voxels.store
+    return KeptMapper(mapper, store) if isinstance(store, TileStore) else mapper
 
 
 def _mapped_on_cluster(

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import shutil
 import threading
 import time
 import warnings
@@ -25,7 +24,8 @@ import numpy as np
 from insonify.errors import RecordingError, ResultError, reason
 from insonify.io.archives import read_archive
 from insonify.io.maps.blocks import map_from_blocks, origin_of
-from insonify.io.maps.ondisk import TileStore
+from insonify.io.maps.ondisk import CHECKPOINT, TileStore, link
+from insonify.io.maps.ondisk import take_over as take_tiles
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import RecordingWarning
 from insonify.io.recordings.ros.mcap_writing import McapWriter
@@ -34,12 +34,13 @@ from insonify.live.session import Event, Finished, Heard, Session
 from insonify.mapping.mapper import Mapper
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.remap import Remap, map_ping
+from insonify.results.map import MAP
 from insonify.results.replay import posed_messages
 from insonify.types import FanGeometry, Pose, PosedPing
 
 _log = logging.getLogger(__name__)
 
-RECORDINGS, CHECKPOINT, MAP = "recordings", "checkpoint.npz", "map.zarr"
+RECORDINGS = "recordings"
 _FORMAT, _VERSION = "insonify-checkpoint", 1
 FLUSH_S = 2.0
 MOST_BYTES = 1 << 30
@@ -76,8 +77,7 @@ class Keeper:
             self._close()
             if self._saver is not None:
                 self._saver.join()
-            for place in (self.folder, self.folder / MAP):
-                (place / CHECKPOINT).unlink(missing_ok=True)
+            (self.folder / CHECKPOINT).unlink(missing_ok=True)
         elif now_s - self._flushed_s > FLUSH_S:
             self.flush()
             if now_s - self._saved_s > self._wait_s:
@@ -132,8 +132,7 @@ class Keeper:
         arrays = _arrays(session.remap, self.parts)
         store = session.remap.mapper.voxels.store
         if isinstance(store, TileStore):
-            _write(self.folder / MAP / f"{CHECKPOINT}.new", arrays)
-            store.flush([CHECKPOINT])
+            store.keep(**arrays)
         taken_s = time.monotonic() - begun_s
         self._saved_s = time.monotonic()
         self._wait_s = max(_LEAST_S, taken_s / _SHARE)
@@ -159,7 +158,7 @@ def _arrays(remap: Remap, parts: list[dict[str, Any]]) -> dict[str, Any]:
         "format": np.array(_FORMAT),
         "version": np.array(_VERSION),
         "told": np.array(json.dumps(told)),
-        **_blocks(voxels),
+        **(_blocks(voxels) if voxels.in_memory else {}),
         "origin_m": np.array(voxels.origin_m),
         "poses": np.array([pose.numbers for pose in remap.poses]).reshape(-1, 6),
         **state,
@@ -167,9 +166,6 @@ def _arrays(remap: Remap, parts: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _blocks(voxels: VoxelMap) -> dict[str, Any]:
-    """A map's blocks, or which there are of a map on disk, whose tiles hold the rest."""
-    if not voxels.in_memory:
-        return {"coords": voxels.coords, "bits": np.array(voxels.bits)}
     arrays = {"coords": voxels.coords, "log_odds": voxels.log_odds, "seen": voxels.seen}
     return {name: array.copy() for name, array in arrays.items()}
 
@@ -195,20 +191,10 @@ def take_over(before: Path, folder: Path) -> None:
     """Let what an earlier start left be in a folder too; it stays where it was."""
     (folder / RECORDINGS).mkdir()
     for file in sorted((before / RECORDINGS).glob("*.mcap")):
-        _link(file, folder / RECORDINGS / file.name)
+        link(file, folder / RECORDINGS / file.name)
     if (before / CHECKPOINT).is_file():
-        _link(before / CHECKPOINT, folder / CHECKPOINT)
-    for file in [file for file in (before / MAP).rglob("*") if file.is_file()]:
-        place = folder / MAP / file.relative_to(before / MAP)  # a tile is replaced, not changed
-        place.parent.mkdir(parents=True, exist_ok=True)
-        _link(file, place)
-
-
-def _link(file: Path, place: Path) -> None:
-    try:
-        os.link(file, place)
-    except OSError:  # some file systems know no second names
-        shutil.copy2(file, place)
+        link(before / CHECKPOINT, folder / CHECKPOINT)
+    take_tiles(before / MAP, folder / MAP)
 
 
 def remember(remap: Remap, folder: Path) -> list[dict[str, Any]]:
@@ -222,9 +208,8 @@ def remember(remap: Remap, folder: Path) -> list[dict[str, Any]]:
     """
     store = remap.mapper.voxels.store
     file = folder / (MAP if isinstance(store, TileStore) else "") / CHECKPOINT
-    done = _load(remap, file) if file.is_file() else {}
-    if isinstance(store, TileStore) and not done:
-        store.files.clear()
+    there = file.is_file() if not isinstance(store, TileStore) else store.resume() is not None
+    done = _load(remap, file) if there else {}
     parts: list[dict[str, Any]] = []
     for file in sorted((folder / RECORDINGS).glob("*.mcap")):
         pings, mapped = _remembered(remap, file, done.get(file.name, 0))
@@ -265,7 +250,6 @@ def _load(remap: Remap, path: Path) -> dict[str, int]:
         raise ResultError(f"{path}: was made with other settings; give another --out")
     own = mapper.voxels
     if isinstance(own.store, TileStore):
-        own.store.recall(arrays["coords"], int(arrays["bits"]))
         own.origin_m = origin_of(path, arrays["origin_m"])
     else:
         blocks = (arrays[name] for name in ("coords", "log_odds", "seen", "origin_m"))

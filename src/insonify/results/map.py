@@ -27,6 +27,8 @@ from insonify.results.files import CONFIG, load_result, save_result
 from insonify.results.mappers import load_state, save_mapper
 from insonify.sonar.devices import device_of
 
+MAP = "map.zarr"
+"""Of a map that is kept on disk."""
 _log = logging.getLogger(__name__)
 
 
@@ -54,7 +56,7 @@ def mapper_for(config: MapConfig, folder: Path, memory_bytes: int | None = None)
     """
     mapper = make_mapper(config.mapper, config.mapping, config.mapper_options)
     if memory_bytes is not None:
-        store = TileStore.new(folder / "map.zarr", memory_bytes)
+        store = TileStore.new(folder / MAP, memory_bytes)
         map_into(mapper, VoxelMap(config.mapping.voxel_m, store))
     return mapper
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Self
@@ -32,6 +34,8 @@ from insonify.types import Array, Bool, Float32, Int32, Int64
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * BYTES_PER_VOXEL
 LEAST_BYTES = 16 * BLOCKS_PER_TILE * BYTES_PER_BLOCK
 """Memory that a store must be given: 16 tiles."""
+CHECKPOINT = "checkpoint.npz"
+"""Beside the tiles: what there was at the last `TileStore.keep`."""
 _SPARE = 1 / 16
 """Of the memory is made free at once, so that tiles are written several at a time."""
 
@@ -84,8 +88,7 @@ class TileStore:
     def new(cls, folder: Path, memory_bytes: int) -> Self:
         """A store without blocks in a folder, which is made if it is not there.
 
-        What it held at its last flush can be made known again by `recall`, or forgotten by
-        ``files.clear()``.
+        See `resume` for what it held before.
 
         Raises:
             MemoryLimitError: The memory is too little.
@@ -208,10 +211,31 @@ class TileStore:
         self._write(np.flatnonzero(self._dirty[: len(self._rows)]))
         self.files.commit(also)
 
+    def keep(self, **arrays: Array) -> None:
+        """Flush, together with arrays that tell what is in the map; `resume` gives them back."""
+        path = self.files.folder / f"{CHECKPOINT}.new"
+        with path.open("wb") as file:
+            np.savez(
+                file, coords=self.coords, bits=np.array(self.bits), allow_pickle=False, **arrays
+            )
+        self.flush([CHECKPOINT])
+
+    def resume(self) -> dict[str, Array] | None:
+        """Know of what was there at the last `keep`; without one, let go of all that is there."""
+        path = self.files.folder / CHECKPOINT
+        if not path.is_file():
+            self.files.clear()
+            return None
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = dict(archive)
+        self.recall(arrays["coords"], int(arrays["bits"]))
+        return arrays
+
     def settle(self, voxel_m: float, origin_m: tuple[float, float, float]) -> None:
         """Flush, and make the folder a map that others open; the store can then be read alone."""
         coords = self.coords
         self.flush()
+        (self.files.folder / CHECKPOINT).unlink(missing_ok=True)
         filled = self._exists[: len(self._rows)].any(axis=1)
         self.files.settle(self._tiles[: len(self._rows)][filled])
         describe(self.files.folder, coords, self.files.first, voxel_m, origin_m, self.bits)
@@ -342,6 +366,25 @@ _KEY = np.array([1 << 42, 1 << 21, 1])
 _TABLES = {
     "_tiles": 0, "_exists": False, "_slots": -1, "_resident": False, "_dirty": False, "_used": 0
 }  # fmt: skip
+
+
+def take_over(before: Path, folder: Path) -> None:
+    """Let the tiles in a folder that a process has left be in a new one too.
+
+    A tile's file is replaced and never changed, so that a second name for it is enough.
+    """
+    for file in [file for file in before.rglob("*") if file.is_file()]:
+        place = folder / file.relative_to(before)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        link(file, place)
+
+
+def link(file: Path, place: Path) -> None:
+    """Give a file another name, or copy it where there are no second names."""
+    try:
+        os.link(file, place)
+    except OSError:
+        shutil.copy2(file, place)
 
 
 def _all_bits(seen: Array) -> int:
