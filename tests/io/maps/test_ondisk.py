@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -243,6 +245,30 @@ def test_after_a_kill_the_files_are_those_of_a_flush(
         found = after.read(np.array(list(committed), np.int32))
         np.testing.assert_array_equal(found.log_odds, np.array(list(committed.values())))
         assert not list(folder.rglob("*.new"))
+
+
+def test_nobody_writes_any_more_when_an_error_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, disk = _both(tmp_path, 7, steps=3)
+    write_bytes = Path.write_bytes
+    calls = 0
+
+    def full(self: Path, data: bytes) -> int:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            raise OSError(errno.ENOSPC, "no space left")
+        time.sleep(0.05)
+        return write_bytes(self, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert isinstance(disk.store, TileStore)
+    with pytest.raises(OSError, match="no space"):
+        disk.store.flush()
+    shutil.rmtree(tmp_path / "work.zarr")
+    time.sleep(0.3)
+    assert not (tmp_path / "work.zarr").exists()
 
 
 def test_a_mapper_maps_the_same_on_disk(tmp_path: Path, rng: np.random.Generator) -> None:

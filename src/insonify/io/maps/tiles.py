@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +115,9 @@ class TileFiles:
 
     def write(self, tiles: Iterable[tuple[Int32, Float32, Array]]) -> None:
         """Write tiles: the index (3,), log-odds and seen (512 blocks, 512) of each."""
-        for key in self._pool.map(self._write_one, tiles):
-            self._pending.add(key)
+        written = [self._pool.submit(self._write_one, tile) for tile in tiles]
+        wait(written)  # also where one fails: nobody writes any more when its error is told
+        self._pending.update(one.result() for one in written)
 
     def _write_one(self, told: tuple[Int32, Float32, Array]) -> tuple[int, ...]:
         tile, log_odds, seen = told
