@@ -20,6 +20,7 @@ from insonify.errors import ConfigError
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.mcap_writing import McapWriter
+from insonify.live import publishing
 from insonify.live.counts import Counts
 from insonify.live.planning import Pilot
 from insonify.live.poser import Poser
@@ -156,9 +157,10 @@ def test_a_domain_that_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
             Bus()
 
 
-def test_answers_and_health(rng: np.random.Generator) -> None:
+def test_answers_and_health(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     from insonify.mission.remap import map_ping
 
+    monkeypatch.setattr(publishing, "_MOST_SHARE", 1e9)  # the map is sent at every event
     settings = MappingSettings(voxel_m=0.25)
     remap = Remap(settings, make_mapper("bayes", settings))
     fan = FanGeometry(1.0, 0.3, 16, 40, 0.5, 8.0, Pose(0.0, 0.0, 0.0, pitch_rad=0.2))

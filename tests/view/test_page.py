@@ -233,6 +233,33 @@ def test_a_map_that_comes_after_its_ping_is_shown(browser: Any) -> None:
         page.close()
 
 
+def test_a_story_that_is_halved_is_shown_where_it_was(browser: Any) -> None:
+    """A session that goes on for days keeps every other ping; the numbers stay the pings'."""
+    from selenium.webdriver import ActionChains, Keys
+
+    story = _story(9)
+    page = Page(story, port=8340, beside=True)
+    try:
+        browser.get(page.url)
+        _until(lambda: "ping 9 of 9" in _text(browser))
+        for _ in range(4):
+            ActionChains(browser).send_keys(Keys.ARROW_LEFT).perform()
+        _until(lambda: "ping 5 of 9" in _text(browser))
+        half = story.halved()
+        page.show(half)
+        _until(lambda: browser.execute_script(_MOST) == "5")
+        assert "ping 5 of 9" in _text(browser)
+        ActionChains(browser).send_keys(Keys.ARROW_LEFT).perform()
+        _until(lambda: "ping 3 of 9" in _text(browser))
+        _no_errors(browser)
+    finally:
+        browser.get("about:blank")
+        page.close()
+
+
+_MOST = "return document.querySelector('[role=slider]').getAttribute('aria-valuemax')"
+
+
 def test_the_arrows_leave_the_camera_alone(browser: Any) -> None:
     from selenium.webdriver import ActionChains, Keys
 

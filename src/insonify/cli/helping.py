@@ -14,7 +14,7 @@ PANELS = {
     "Recording": "poses beams convention mount full_scale clock_offset_s max_gap_s pose_topic "
     "sonar_topic rate wait idle",
     "Vehicle": "plan clearance speed radius vehicle current navigation real_time live_bus",
-    "Output": "out force as_json live foxglove mcap picture every quiet port host workers "
+    "Output": "out force as_json live view foxglove mcap picture every quiet port host workers "
     "scheduler prune yes formats upload",
 }
 """Options by the names of their parameters; others are in typer's own panel."""
@@ -92,7 +92,7 @@ EXAMPLES = {
     "live": (
         "insonify live --voxel 0.1 --out dive",
         'insonify live --plan --region "-5 -5 -20 5 5 -16" --out dive',
-        "insonify live --from dive.mcap --rate 1 --voxel 0.1",
+        "insonify live --from dive.mcap --rate 1 --voxel 0.1 --view",
     ),
     "play": ("insonify play dive.mcap", "insonify play sonar.aris --poses track.tum --rate 2"),
     "info": ("insonify info dive.mcap", "insonify info sonar.aris --picture ping.png"),

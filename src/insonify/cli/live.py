@@ -7,6 +7,7 @@ import signal
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,7 +33,7 @@ from insonify.cli.root import (
     memory_limit,
     print_report,
 )
-from insonify.cli.views import HostOption, PortOption
+from insonify.cli.views import HostOption, hold_open, page_and_story
 from insonify.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -43,9 +44,12 @@ if TYPE_CHECKING:
     from insonify.live.publishing import Publisher, Send
     from insonify.live.running import Order
     from insonify.live.session import Event, Session, Watcher
+    from insonify.live.showing import Narrator
     from insonify.mission.result import MapResult
     from insonify.planning.active import EntropySettings
+    from insonify.types import Box
 
+VIEW_PORT = 8080
 RateOption = Annotated[
     float | None,
     typer.Option("--rate", metavar="X", help="So many times as fast as it was recorded."),
@@ -64,6 +68,12 @@ IdleOption = Annotated[
 ]
 ClearanceOption = Annotated[
     float, typer.Option(min=0.0, metavar="M", help="Least, of a path to what is mapped.")
+]
+ServedPortOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1, max=65535, help="Of --view, the first to try (8080), or of --foxglove (8765)."
+    ),
 ]
 WaypointsOption = Annotated[int, typer.Option(min=1, max=10000, help="Of a scan.")]
 _ENDING = "writing what is mapped; once more leaves it for the next start"
@@ -86,11 +96,14 @@ def live(
     clearance: ClearanceOption = 0.4,
     radius: RadiusOption = 20.0,
     idle: IdleOption = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show pings and map in the browser as they come.")
+    ] = False,
     foxglove: Annotated[
         bool, typer.Option("--foxglove", help="Serve what is sent to Foxglove too.")
     ] = False,
     host: HostOption = "127.0.0.1",
-    port: PortOption = 8765,
+    port: ServedPortOption = None,
     reading: Any = None,
     settings: SetOption = None,
     config: ConfigOption = None,
@@ -101,6 +114,7 @@ def live(
     """Map pings as they come, from the robot's bus (ROS 2's DDS) or a recording that is played."""
     from insonify.config.toml import to_toml
     from insonify.io.folders import unused_folder
+    from insonify.io.recordings import open_recording
     from insonify.live.planning import Pilot
     from insonify.live.publishing import Publisher
     from insonify.live.running import Order
@@ -113,30 +127,71 @@ def live(
     folder = out or unused_folder(Path("insonify-runs") / "live")
     if from_ is not None and (plan or idle is not None):
         raise ConfigError("--plan and --idle are for the bus; a recording is not steered (--from)")
+    if port is not None and view == foxglove:
+        raise ConfigError("--port is where --view or --foxglove serves; give it with one of them")
     pilot = Pilot(box, entropy, waypoints, clearance) if plan else None
     limit = memory_limit(memory)
     how = [to_toml(full, "A session"), repr(reading), *(["on disk"] if limit else [])]
     job = "" if from_ is not None else "\n".join(how)
     order = Order(full, box, folder, force, limit, job)
-    with _serving(host, port, wanted=foxglove) as server:
+    if from_ is not None and not from_.exists():
+        open_recording(from_)  # says so, before an address is told
+    title = folder.name if from_ is None else from_.name
+    with (
+        _showing(title, box, host, port, wanted=view) as shown,
+        _serving(host, port, wanted=foxglove) as server,
+    ):
+        served = {} if shown is None else {"view": shown[0]}
+        served |= {} if server is None else {"foxglove": server.url}
         sending: list[Send] = [] if server is None else [server.send]
         publisher = Publisher(sending, pilot, radius)
-        watchers = [publisher.watch] if server is None else [publisher.watch, server.watch]
+        watchers = [publisher.watch]
+        watchers += [] if server is None else [server.watch]
+        watchers += [] if shown is None else [shown[1].watch]
+        out_ = _Out(served, as_json)
         if from_ is None:
-            _live_on_bus(order, reading, publisher, watchers, idle, as_json=as_json)
-        else:
-            _live_from(from_, rate, reading, order, watchers, as_json=as_json)
+            _live_on_bus(order, reading, publisher, watchers, idle, out_)
+            return
+        _live_from(from_, rate, reading, order, watchers, out_)
+        if shown is not None:
+            tell("insonify: the view stays open until Ctrl-C", flush=True)
+            hold_open()
+
+
+@dataclass(frozen=True)
+class _Out:
+    """How a session is told of: the addresses that are served, and whether as JSON."""
+
+    served: dict[str, str]
+    as_json: bool
 
 
 @contextmanager
-def _serving(host: str, port: int, *, wanted: bool) -> Iterator[FoxgloveServer | None]:
+def _showing(
+    title: str, region: Box | None, host: str, port: int | None, *, wanted: bool
+) -> Iterator[tuple[str, Narrator] | None]:
+    """The address of a page of a session, and who tells it, if one is wanted."""
+    if not wanted:
+        yield None
+        return
+    page, story = page_and_story(title, host, VIEW_PORT if port is None else port, beside=True)
+    try:
+        from insonify.live.showing import Narrator
+
+        yield page.url, Narrator(page, story, region)
+    finally:
+        page.close()
+
+
+@contextmanager
+def _serving(host: str, port: int | None, *, wanted: bool) -> Iterator[FoxgloveServer | None]:
     """A server for Foxglove, if one is wanted."""
     if not wanted:
         yield None
         return
-    from insonify.live.foxglove import FoxgloveServer
+    from insonify.live.foxglove import PORT, FoxgloveServer
 
-    server = FoxgloveServer(host, port)
+    server = FoxgloveServer(host, PORT if port is None else port)
     tell(f"Foxglove: {server.url}", flush=True)
     try:
         yield server
@@ -150,8 +205,7 @@ def _live_on_bus(
     publisher: Publisher,
     watchers: Sequence[Watcher],
     idle_s: float | None,
-    *,
-    as_json: bool,
+    out: _Out,
 ) -> None:
     """Map what comes over the bus until Ctrl-C, SIGTERM or silence."""
     from insonify.live.bus import Bus
@@ -177,7 +231,7 @@ def _live_on_bus(
         watchers = [*watchers, counting_losses(bus), _shown(bar)]
         source = heard(bus, reading, publisher, math.inf if idle_s is None else idle_s)
         result, folder = run_session(order, poser, source, watchers, ended)
-    _tell(result, folder, poser.counts, as_json=as_json)
+    _tell(result, folder, poser.counts, out)
 
 
 def _entropy_apart(settings: list[str] | None) -> tuple[EntropySettings, list[str]]:
@@ -194,8 +248,7 @@ def _live_from(
     reading: Reading,
     order: Order,
     watchers: Sequence[Watcher],
-    *,
-    as_json: bool,
+    out: _Out,
 ) -> None:
     """Play a recording into a session."""
     from insonify.io.recordings.recording import RecordingWarning
@@ -214,7 +267,7 @@ def _live_from(
     ):
         source = paced(played.messages(), rate)
         result, folder = run_session(order, poser, source, [*watchers, _shown(bar)], ended)
-    _tell(result, folder, poser.counts, as_json=as_json)
+    _tell(result, folder, poser.counts, out)
     if ended():
         raise typer.Exit(EXIT_INTERRUPTED)
 
@@ -263,11 +316,15 @@ def _shown(bar: Bar) -> Watcher:
     return watch
 
 
-def _tell(result: MapResult | None, folder: Path, counts: Counts, *, as_json: bool) -> None:
+def _tell(result: MapResult | None, folder: Path, counts: Counts, out: _Out) -> None:
     """Say what came of a session."""
     told = counts.to_json()
-    if as_json:
-        say_json({"messages": told} | ({} if result is None else {"map": result.to_json()}))
+    if out.as_json:
+        say_json(
+            {"messages": told, **out.served}
+            | ({} if result is None else {"map": result.to_json()}),
+            flush=True,
+        )
     else:
         rows = [[key.replace("_", " "), str(value)] for key, value in told.items() if value]
         say_listing(["what", "value"], rows + ([] if result is None else map_rows(result)))

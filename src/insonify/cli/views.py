@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +24,7 @@ from insonify.cli.root import (
 
 if TYPE_CHECKING:
     from insonify.view.page import Page
+    from insonify.view.story import Story
 
 HostOption = Annotated[str, typer.Option(help="Address to serve at; 0.0.0.0 for other machines.")]
 PortOption = Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")]
@@ -83,19 +85,41 @@ def view(
 
 def live_page(title: str) -> Page:
     """A page that waits for a run to be told to its story."""
+    page, _ = page_and_story(title)
+    return page
+
+
+def page_and_story(
+    title: str, host: str = "127.0.0.1", port: int = 8080, *, beside: bool = False
+) -> tuple[Page, Story]:
+    """A page whose address is told at once, and its story, which is yet to be told.
+
+    Args:
+        title: Of the story.
+        host: Address to serve at.
+        port: The first to try.
+        beside: See `Page`.
+    """
     from insonify.view.server import Server
 
-    server = Server()
+    server = Server(host, port)
     tell(f"View: {server.url}", flush=True)
     from insonify.view.page import Page
     from insonify.view.story import Story
 
-    return Page(Story(title), server=server)
+    story = Story(title)
+    return Page(story, server=server, beside=beside), story
+
+
+def hold_open() -> None:
+    """Wait until Ctrl-C or SIGTERM while a page is looked at."""
+    signals = signal.SIGINT, signal.SIGTERM
+    with interruptible("closing the view", *signals) as interrupted:
+        while not interrupted():
+            time.sleep(0.1)
 
 
 def serve(page: Page) -> None:
     """Keep a page open until Ctrl-C."""
-    with interruptible("closing the view") as interrupted:
-        while not interrupted():
-            time.sleep(0.1)
+    hold_open()
     page.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -99,21 +98,20 @@ def draw_sonar(
 
 def draw_paths(canvas: Canvas, flown: Sequence[Moment]) -> None:
     """The scans so far, each in its colour, and where the vehicle really was, if elsewhere."""
-    posed = [moment for moment in flown if moment.pose is not None]
-    lines, colours = [], []
-    for a, b in pairwise(posed):
-        assert a.pose is not None and b.pose is not None
-        lines.append((a.pose.position_m, b.pose.position_m))
-        colours.append(_scan_rgb(b.scan) if a.scan == b.scan else _PLANNED)
-    segments = np.array(lines, np.float32).reshape(-1, 2, 3)
-    canvas.lines("/path/flown", segments, np.array(colours, np.uint8).reshape(-1, 3), 3.0)
-    true = [moment.true_pose or moment.pose or AT_ORIGIN for moment in flown]
-    differs = any(moment.true_pose is not None for moment in flown)
-    canvas.lines("/path/true", shapes.path_segments(true if differs else ()), _TRUE_PATH, 1.5)
+    posed = [(moment.pose, moment.scan) for moment in flown if moment.pose is not None]
+    places = np.array([pose.position_m for pose, _ in posed], np.float32).reshape(-1, 3)
+    scans = np.array([scan for _, scan in posed], np.int64)
+    tints = np.array([*map(_scan_rgb, np.unique(scans).tolist()), _PLANNED], np.uint8)
+    which = np.searchsorted(np.unique(scans), scans[1:])
+    which[scans[1:] != scans[:-1]] = len(tints) - 1
+    canvas.lines("/path/flown", np.stack([places[:-1], places[1:]], axis=1), tints[which], 3.0)
+    true: list[Pose] = []
+    if any(moment.true_pose is not None for moment in flown):
+        true = [moment.true_pose or moment.pose or AT_ORIGIN for moment in flown]
+    canvas.lines("/path/true", shapes.path_segments(true), _TRUE_PATH, 1.5)
     starts: dict[int, Pose] = {}
-    for moment in posed:
-        assert moment.pose is not None
-        starts.setdefault(moment.scan, moment.pose)
+    for pose, scan in posed:
+        starts.setdefault(scan, pose)
     canvas.labels(
         "/path/scans", [(f"scan {scan}", pose) for scan, pose in starts.items()], "bottom-center"
     )

@@ -19,6 +19,8 @@ from insonify.view.story import MapPicture, Story
 
 _REST_S, _STEP_S = 0.05, 0.15
 """Between two drawings, and between two pings when playing."""
+_SHARE = 0.1
+"""Of the time, for drawing beside something else."""
 _IMAGE_WIDTH = 560
 _NOTHING: tuple[int, int, int, MapPicture | None] = (-1, -1, -1, None)
 _LAYERS = {
@@ -47,6 +49,7 @@ class Page:
         port: int = 8080,
         *,
         server: Server | None = None,
+        beside: bool = False,
     ) -> None:
         """Start serving.
 
@@ -55,6 +58,8 @@ class Page:
             host: Address to listen at; 0.0.0.0 is every one.
             port: The first free one from here on.
             server: Instead of a new one at that address.
+            beside: Whether the machine is for something else: it then draws while somebody looks
+                alone, and for a tenth of the time.
 
         Raises:
             MissingExtraError: The package viser is not installed.
@@ -69,11 +74,20 @@ class Page:
         self._closed = threading.Event()
         self._shown = _NOTHING
         self._world_drawn = self._camera_set = False
+        self._beside = beside
         self._build()
-        story.changed = self._wake.set
+        self.show(story)
+        if beside:
+            self._server.viser.on_client_connect(lambda client: self._wake.set())
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._wake.set()
         self._thread.start()
+
+    def show(self, story: Story) -> None:
+        """Show another story, or the same with fewer moments."""
+        story.changed = self._wake.set
+        self._story = story
+        self._wake.set()
 
     def watch(self, run: Run, step: Step) -> None:
         """Show a step of a run that is going on."""
@@ -145,9 +159,13 @@ class Page:
                 return
             if not woken:
                 self._advance()
+            begun_s = time.monotonic()
             with self._server.viser.atomic():
-                self._draw()
-            time.sleep(_REST_S)
+                self._draw(self._story)
+            rest_s = _REST_S
+            if self._beside:
+                rest_s = max(rest_s, (time.monotonic() - begun_s) * (1.0 / _SHARE - 1.0))
+            self._closed.wait(rest_s)
 
     def _advance(self) -> None:
         if self._slider.value < self._slider.max:
@@ -155,10 +173,11 @@ class Page:
         else:
             self._play.value = False
 
-    def _draw(self) -> None:
-        story = self._story
+    def _draw(self, story: Story) -> None:
         count = len(story.moments)
-        self._draw_world()
+        self._draw_world(story)
+        if self._beside and not self._server.viser.get_clients():
+            return
         self._grow(count)
         number = int(self._slider.value) if count else 0
         found = story.maps.at(number)
@@ -167,47 +186,39 @@ class Page:
         if state == self._shown:
             return
         self._shown = state
-        self._offer_layers()
+        self._offer_layers(story)
         self._text.content = words.describe(story, number)
-        self._draw_map(number)
+        self._draw_map(story, number)
         if number:
-            self._draw_ping(number)
-        self._draw_decision(number)
+            self._draw_ping(story, number)
+        self._draw_decision(story, number)
 
     def _grow(self, count: int) -> None:
         """Let the slider reach the last ping, and stay at the end if it is there."""
         if count == 0 or (self._slider.visible and self._slider.max == count):
             return
         follows = not self._slider.visible or self._slider.value == self._slider.max
+        if count < self._slider.max and not follows:  # every other moment was let go
+            self._slider.value = (int(self._slider.value) + 1) // 2
+        if follows:
+            self._slider.value = min(int(self._slider.value), count)
         self._slider.max = max(count, 2)
         self._slider.min = 1
         if follows:
             self._slider.value = count
         self._slider.visible = self._play.visible = count > 1
 
-    def _draw_world(self) -> None:
-        story = self._story
+    def _draw_world(self, story: Story) -> None:
         if story.world and not self._world_drawn:
             self._world_drawn = True
             layers.draw_world(self._scene, story.world)
         if not self._camera_set and (story.region is not None or story.moments):
             self._camera_set = True
             camera = self._server.viser.initial_camera
-            camera.position, camera.look_at = shapes.overview(*self._extent())
+            camera.position, camera.look_at = shapes.overview(*_extent(story))
 
-    def _extent(self) -> tuple[Float64, Float64]:
-        """The corners of what the page shows: the area, or else the space before the sonar."""
-        story = self._story
-        if story.region is not None:
-            return np.array(story.region.low_m), np.array(story.region.high_m)
-        moment = story.moments[0]
-        world = world_from_sonar(moment.pose or layers.AT_ORIGIN, moment.geometry.mount)
-        ends = shapes.fan_edges(moment.geometry).reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
-        return ends.min(axis=0), ends.max(axis=0)
-
-    def _offer_layers(self) -> None:
+    def _offer_layers(self, story: Story) -> None:
         """Boxes for what there is to be seen."""
-        story = self._story
         mapped = story.maps.at(len(story.moments)) is not None
         there = {
             "object": bool(story.world),
@@ -222,8 +233,8 @@ class Page:
             if box.visible != shown:
                 box.visible = shown
 
-    def _draw_map(self, number: int) -> None:
-        found = self._story.maps.at(number)
+    def _draw_map(self, story: Story, number: int) -> None:
+        found = story.maps.at(number)
         if found is None:
             return
         picture = found[1]
@@ -234,22 +245,22 @@ class Page:
         if self._boxes["undecided"].value:
             layers.draw_entropy(self._canvas, picture.undecided)
 
-    def _draw_ping(self, number: int) -> None:
-        story = self._story
+    def _draw_ping(self, story: Story, number: int) -> None:
         kept = story.images.at(number)
         assert kept is not None
         taken, grey = kept
         geometry = story.moments[taken - 1].geometry
         ping = Ping(grey.astype(np.float32) / 255.0, geometry)
         picture, extent = shapes.fan_picture(ping, _IMAGE_WIDTH)
-        note = "" if taken == number else f"<br>image of ping {taken}, the last one kept"
+        of = story.ping_of(taken)
+        note = "" if taken == number else f"<br>image of ping {of}, the last one kept"
         self._image.content = words.image(picture, geometry, extent, note)
         self._image.visible = True
         layers.draw_sonar(self._canvas, story.moments[number - 1], picture, extent)
         layers.draw_paths(self._canvas, story.moments[:number])
 
-    def _draw_decision(self, number: int) -> None:
-        decision = self._story.decision_at(number)
+    def _draw_decision(self, story: Story, number: int) -> None:
+        decision = story.decision_at(number)
         if decision is None:
             return
         waypoints = decision.path.waypoints if decision.path is not None else ()
@@ -257,3 +268,13 @@ class Page:
         layers.draw_decision(self._canvas, decision)
         self._decision.visible = decision.look is not None or decision.stop is not None
         self._candidates.content = words.reasons(decision)
+
+
+def _extent(story: Story) -> tuple[Float64, Float64]:
+    """The corners of what the page shows: the area, or else the space before the sonar."""
+    if story.region is not None:
+        return np.array(story.region.low_m), np.array(story.region.high_m)
+    moment = story.moments[0]
+    world = world_from_sonar(moment.pose or layers.AT_ORIGIN, moment.geometry.mount)
+    ends = shapes.fan_edges(moment.geometry).reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
+    return ends.min(axis=0), ends.max(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -18,6 +18,8 @@ from insonify.view.cubes import Cubes, occupied_cubes, undecided_cubes
 
 MOST_BYTES = 256 << 20
 """Memory for the sonar images of a story, and for the pictures of its map."""
+MOST_MOMENTS = 50_000
+"""Of a story that may go on for days; beyond, it is to be halved."""
 
 Item = TypeVar("Item")
 
@@ -70,6 +72,17 @@ class Thinned(Generic[Item]):
             nearest -= stride
         return None
 
+    def halved(self) -> Thinned[Item]:
+        """The same of a sequence of which every other item is left out, from the second on."""
+        stride, kept = self._kept
+        half: Thinned[Item] = Thinned(self._most_bytes, max(1, stride // 2))
+        found = {(n + 1) // 2: pair for n, pair in kept.items() if n % 2}
+        half._kept = (half.stride, found)
+        half._bytes = sum(size for _, size in found.values())
+        if self._last is not None and self._last[0] % 2:
+            half._last = ((self._last[0] + 1) // 2, self._last[1])
+        return half
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
@@ -118,6 +131,7 @@ class Story:
         region: Where uncertainty counts.
         end: Why it ended, as a sentence.
         changed: Called after each change.
+        pings: How many there were, and ``stride`` how many for each of the moments.
     """
 
     title: str
@@ -129,20 +143,40 @@ class Story:
     region: Box | None = None
     end: str = ""
     changed: Callable[[], None] = lambda: None
+    pings: int = 0
+    stride: int = 1
 
     def add_ping(self, posed: PosedPing, scan: int = 1) -> None:
         """Note a ping."""
+        self.pings += 1
+        if (self.pings - 1) % self.stride:
+            return
         ping, pose = posed.ping, posed.pose
         other = None if posed.true_pose == pose else posed.true_pose
         grey = np.round(np.clip(ping.image, 0.0, 1.0) * 255.0).astype(np.uint8)
         self.images.add(len(self.moments) + 1, grey, grey.nbytes)  # before a page looks for it
         self.moments.append(Moment(ping.time_s, ping.geometry, pose, other, scan))
 
+    def ping_of(self, number: int) -> int:
+        """Which ping a moment is, both from 1; 0 of none."""
+        return (number - 1) * self.stride + 1 if number else 0
+
     def add_map(self, voxels: VoxelMap, region: Box) -> None:
         """Note the map as it is after the last ping noted."""
         picture = MapPicture(*occupied_cubes(voxels, region), undecided_cubes(voxels, region))
         self.maps.add(len(self.moments), picture, picture.size_bytes)
         self.region = region
+
+    def halved(self) -> Story:
+        """The same with every other moment, for one that goes on for long; this one stays."""
+        return replace(
+            self,
+            moments=self.moments[::2],
+            images=self.images.halved(),
+            maps=self.maps.halved(),
+            decisions=[((after + 1) // 2, decision) for after, decision in self.decisions],
+            stride=2 * self.stride,
+        )
 
     def decision_at(self, number: int) -> Decision | None:
         """The last decision when ``number`` pings were mapped."""

@@ -92,16 +92,18 @@ def _letters(text: str, x: float, y: float, anchor: str) -> str:
 def describe(story: Story, number: int) -> str:
     """A ping and the map after it."""
     count = len(story.moments)
+    ping = story.ping_of(number)
     lines = [f"<b>{html.escape(story.title)}</b>"]
     if number:
         moment = story.moments[number - 1]
         when = f", {moment.time_s:.2f} s" if moment.time_s else ""
         scan = f", scan {moment.scan}" if story.decisions else ""
-        lines += [f"ping {number} of {count}{scan}{when}", _whereabouts(moment)]
+        lines += [f"ping {ping} of {story.pings}{scan}{when}", _whereabouts(moment)]
     found = story.maps.at(number)
     if found is not None:
         after, picture = found
-        when = "" if after in (number, 0) else f" after ping {after}"
+        after = story.ping_of(after)
+        when = "" if after in (ping, 0) else f" after ping {after}"
         lines.append(f"{picture.occupied.count:,} voxels occupied in the area{when}")
         if picture.occupied.times > 1:
             lines.append(f"merged into cubes of {picture.occupied.edge_m:g} m")
