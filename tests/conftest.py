@@ -28,6 +28,7 @@ from insonify.vehicle.description import vehicle_named
 from insonify.vehicle.settings import VehicleSettings
 
 settings.register_profile("same", derandomize=True)  # the same examples on every machine
+settings.register_profile("many", max_examples=500)  # others each time: pytest --hypothesis-profile
 settings.load_profile("same")
 
 MakeMap = Callable[..., VoxelMap]

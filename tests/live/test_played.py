@@ -77,7 +77,7 @@ def check_played(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RecordingWarning)
         played = open_played(path, reading)
-        poser = Poser(played.reading, Counts(), played.settled)
+        poser = played.poser(Counts())
         live, counts = lived(
             tmp_path / "live", paced(played.messages(), None), poser, config=config
         )
@@ -160,6 +160,20 @@ def later(one: BagMessage, by_s: float) -> BagMessage:
 def heard(tmp_path: Path, told: list[BagMessage], **more: Any) -> tuple[bytes, Counts]:
     poser = Poser(Reading(), Counts(), patience=Patience(**more))
     return lived(tmp_path / "live", iter(told), poser)
+
+
+def test_a_recording_that_is_played_slowly(tmp_path: Path) -> None:
+    """Moments without a message, of which each may be long, are none of the recording's time."""
+    path = bag_of(tmp_path / "bag.mcap", robot())
+    played = open_played(path, Reading())
+    slowly: Iterator[BagMessage | None] = (
+        one
+        for message in played.messages()
+        for one in ((message, None) if "sonar" in message.topic else (message,))
+    )
+    live, counts = lived(tmp_path / "live", slowly, played.poser(Counts()))
+    assert live == mapped(tmp_path / "map.npz", [path])
+    assert counts.mapped == 12 and not counts.unposed
 
 
 def test_a_turning_head_and_poses_between_pings(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
 import warnings
@@ -115,7 +116,7 @@ def live(
     from insonify.config.toml import to_toml
     from insonify.io.folders import unused_folder
     from insonify.io.recordings import open_recording
-    from insonify.live.planning import Pilot
+    from insonify.live.planning import Desk, Pilot
     from insonify.live.publishing import Publisher
     from insonify.live.running import Order
 
@@ -125,8 +126,8 @@ def live(
     full = map_config(voxel, absolute(mapper), mapping, config)
     box = box_from_text(region) if region is not None else None
     folder = out or unused_folder(Path("insonify-runs") / "live")
-    if from_ is not None and (plan or idle is not None):
-        raise ConfigError("--plan and --idle are for the bus; a recording is not steered (--from)")
+    if from_ is not None and idle is not None:
+        raise ConfigError("--idle is for the bus; a recording ends by itself (--from)")
     if port is not None and view == foxglove:
         raise ConfigError("--port is where --view or --foxglove serves; give it with one of them")
     pilot = Pilot(box, entropy, waypoints, clearance) if plan else None
@@ -145,14 +146,15 @@ def live(
         served |= {} if server is None else {"foxglove": server.url}
         sending: list[Send] = [] if server is None else [server.send]
         publisher = Publisher(sending, pilot, radius)
-        watchers = [publisher.watch]
+        watchers = [] if shown is None else [shown[1].watch]
         watchers += [] if server is None else [server.watch]
-        watchers += [] if shown is None else [shown[1].watch]
+        watchers += [publisher.watch]
         out_ = _Out(served, as_json)
         if from_ is None:
             _live_on_bus(order, reading, publisher, watchers, idle, out_)
             return
-        _live_from(from_, rate, reading, order, watchers, out_)
+        publisher.desk, publisher.plans_at_end = Desk(beside=False), True
+        _live_from(from_, rate, reading, order, publisher, watchers, out_)
         if shown is not None:
             tell("insonify: the view stays open until Ctrl-C", flush=True)
             hold_open()
@@ -247,6 +249,7 @@ def _live_from(
     rate: float | None,
     reading: Reading,
     order: Order,
+    publisher: Publisher,
     watchers: Sequence[Watcher],
     out: _Out,
 ) -> None:
@@ -254,18 +257,17 @@ def _live_from(
     from insonify.io.recordings.recording import RecordingWarning
     from insonify.live.counts import Counts
     from insonify.live.played import open_played, paced
-    from insonify.live.poser import Poser
     from insonify.live.running import run_session
 
     played = open_played(path, reading)
     for doubt in played.doubts:
         warnings.warn(f"{path}: {doubt}", RecordingWarning, stacklevel=2)
-    poser = Poser(played.reading, Counts(), played.settled)
+    poser = played.poser(Counts())
     with (
         interruptible(_ENDING, signal.SIGINT, signal.SIGTERM) as ended,
         progress(path.name, played.count) as bar,
     ):
-        source = paced(played.messages(), rate)
+        source = publisher.requests_heard(paced(played.messages(), rate))
         result, folder = run_session(order, poser, source, [*watchers, _shown(bar)], ended)
     _tell(result, folder, poser.counts, out)
     if ended():
@@ -318,13 +320,13 @@ def _shown(bar: Bar) -> Watcher:
 
 def _tell(result: MapResult | None, folder: Path, counts: Counts, out: _Out) -> None:
     """Say what came of a session."""
+    from insonify.live.leaving import ACCOUNT
+
     told = counts.to_json()
     if out.as_json:
-        say_json(
-            {"messages": told, **out.served}
-            | ({} if result is None else {"map": result.to_json()}),
-            flush=True,
-        )
+        plans = json.loads((folder / ACCOUNT).read_text()).get("plans") if result else None
+        document = {"messages": told, **out.served} | ({"plans": plans} if plans else {})
+        say_json(document | ({} if result is None else {"map": result.to_json()}), flush=True)
     else:
         rows = [[key.replace("_", " "), str(value)] for key, value in told.items() if value]
         say_listing(["what", "value"], rows + ([] if result is None else map_rows(result)))

@@ -165,27 +165,12 @@ def way_there(voxels: VoxelMap, pose: Pose, path: ScanPath, least_m: float) -> t
     Raises:
         GeometryError: There is none, or the scan itself comes too near.
     """
-    from insonify.planning.once import clearance_m, half_diagonal_m
-    from insonify.vehicle.autopilot.routing import clear_route, obstacles_near
+    from insonify.vehicle.autopilot.leading import lead_to
 
-    start, far_m = path.waypoints[0], least_m + half_diagonal_m(voxels)
-    near_m = clearance_m(voxels, path.waypoints)
-    here_m = clearance_m(voxels, (pose,))
-    if min(near_m, here_m) < least_m:
-        what = "the scan comes" if near_m < least_m else "the vehicle is"
-        raise GeometryError(
-            f"{what} within {min(near_m, here_m):.2f} m of an occupied voxel, and {least_m:g} m is "
-            "the least; start elsewhere (--from), or allow it (--clearance)"
-        )
-    way: tuple[Pose, ...] | None = (start,)
-    if least_m > 0.0:
-        way = clear_route(pose, (start,), obstacles_near(voxels, (pose, start), far_m), far_m)
-    if way is None or clearance_m(voxels, (pose, *way)) < least_m:
-        raise GeometryError(
-            f"no way to the scan keeps {least_m:g} m from what is mapped at the vehicle's height; "
-            "start elsewhere (--from), or allow less (--clearance)"
-        )
-    return way
+    lead = lead_to(voxels, pose, path, least_m)
+    if lead.way is None:
+        raise GeometryError(f"{lead.why}; start elsewhere (--from), or allow less (--clearance)")
+    return lead.way
 
 
 def _draw(

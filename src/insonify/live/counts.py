@@ -29,6 +29,9 @@ class Counts:
         late_poses: Of them, those that came after a later one.
         clock_resets: How often the poses' clock was set back.
         lost: Samples that the bus says it has lost.
+        paths_asked: Requests for a path.
+        paths_held: Of them, those that came while one was planned, and were answered after it.
+        paths_sent: Answers, those that there is none to fly too.
         last_damage: What was wrong with the last that could not be read.
         latencies_s: From a ping's sending to its place in the map, of the last thousands.
     """
@@ -45,6 +48,9 @@ class Counts:
     late_poses: int = 0
     clock_resets: int = 0
     lost: int = 0
+    paths_asked: int = 0
+    paths_held: int = 0
+    paths_sent: int = 0
     last_damage: str = ""
     latencies_s: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
 

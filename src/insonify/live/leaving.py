@@ -37,6 +37,7 @@ def save_session(
         Its figures; None if no ping was mapped, so that there is no map.
     """
     told = {"poses_from": session.poser.source, **session.counts.to_json()}
+    told |= {"plans": session.plans_told()} if session.plans else {}
     (folder / ACCOUNT).write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     remap = session.remap
     if not remap.poses:

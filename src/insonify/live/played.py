@@ -19,7 +19,8 @@ from insonify.io.recordings.ros.bags import Bag, BagMessage
 from insonify.io.recordings.ros.index import STATE, index_of, namespace
 from insonify.io.recordings.ros.recording import scaled_pixels, sonar_topic
 from insonify.io.recordings.ros.whereabouts import whereabouts
-from insonify.live.poser import Settled, spaces_of
+from insonify.live.counts import Counts
+from insonify.live.poser import Poser, Settled, spaces_of
 from insonify.results.replay import posed_messages, timed
 
 SONAR = "sonar"
@@ -69,6 +70,10 @@ class Played:
     reading: Reading
     settled: Settled | None
     doubts: tuple[str, ...]
+
+    def poser(self, counts: Counts) -> Poser:
+        """Who poses its pings as `map` does, however slowly it is played."""
+        return Poser(self.reading, counts, self.settled, clock=lambda: 0)
 
 
 def open_played(path: Path, reading: Reading) -> Played:

@@ -10,9 +10,10 @@ Pings leave in the order in which they came.  One whose pose does not come in ti
 
 from __future__ import annotations
 
+import time
 import zlib
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -97,6 +98,7 @@ class Poser:
         counts: Counts,
         settled: Settled | None = None,
         patience: Patience = Patience(),
+        clock: Callable[[], int] = time.time_ns,
     ) -> None:
         """Nothing heard yet.
 
@@ -105,9 +107,11 @@ class Poser:
             counts: Told what happens to messages.
             settled: What is known beforehand.
             patience: How long is waited for what is not.
+            clock: Tells in nanoseconds when nothing came; of a recording, whose messages alone
+                tell the time, always 0.
         """
         self.reading, self.counts = reading, counts
-        self._patience = patience
+        self._patience, self._clock = patience, clock
         self.index = Index(tree=self._empty_tree())
         self._known = settled
         self._settled: Settled | None = None
@@ -157,9 +161,9 @@ class Poser:
             self._hear(message)
         yield from self._leave()
 
-    def tick(self, now_ns: int) -> Iterator[tuple[Waiting, PosedPing]]:
+    def tick(self) -> Iterator[tuple[Waiting, PosedPing]]:
         """The pings that can leave when nothing more has come until now."""
-        self._now_ns = max(self._now_ns, now_ns)
+        self._now_ns = max(self._now_ns, self._clock())
         yield from self._leave()
 
     def finish(self) -> Iterator[tuple[Waiting, PosedPing]]:

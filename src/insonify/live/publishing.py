@@ -9,16 +9,18 @@ fly.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from insonify.errors import InsonifyError
 from insonify.io.recordings.ros import messages
-from insonify.io.recordings.ros.bags import BagMessage
-from insonify.live.planning import Answer, Pilot
-from insonify.live.session import Event, Finished, Heard, Session
+from insonify.io.recordings.ros.bags import DAMAGE, BagMessage
+from insonify.live.planning import Answer, Desk, Pilot
+from insonify.live.session import Event, Finished, Heard, Planned, Session
 from insonify.mapping.voxels import Blocks, VoxelMap, Voxels, probability_from_log_odds
 from insonify.planning.entropy import binary_entropy
 from insonify.types import Array, Bool, Box, Float64, Pose
@@ -50,6 +52,8 @@ class Publisher:
         radius_m: How far from the vehicle the map is sent.
         every_s: How often map and health are, at most; a map that takes long is sent less often,
             and one that has not changed is not.
+        desk: Where paths are planned; those that a recording asks for at once.
+        plans_at_end: Whether to plan the next scan when all is heard too.
         words: What was last decided, for people.
     """
 
@@ -57,6 +61,8 @@ class Publisher:
     pilot: Pilot | None = None
     radius_m: float = 20.0
     every_s: float = 1.0
+    desk: Desk = field(default_factory=Desk)
+    plans_at_end: bool = False
     words: str = ""
     _pose: Pose | None = None
     _stamp_ns: int = 0
@@ -65,14 +71,21 @@ class Publisher:
     _shown_ns: int = -1
     _heard_s: float = field(default_factory=time.monotonic)
     _asked: list[str] = field(default_factory=list)
+    _held: bool = False
+
+    def requests_heard(self, source: Iterable[BagMessage | None]) -> Iterator[BagMessage | None]:
+        """A source without its requests, which are answered."""
+        for message in source:
+            yield None if message is None or self.hears(message) else message
 
     def hears(self, message: BagMessage) -> bool:
         """Whether a message is a request; it is answered at the next event."""
         if message.topic != REQUEST:
             return False
-        word = str(message.decode().data).strip()
-        if word in REQUESTS and word not in self._asked:
-            self._asked.append(word)
+        with suppress(*DAMAGE):
+            word = str(message.decode().data).strip()
+            if word in REQUESTS:
+                self._asked.append(word)
         return True
 
     def watch(self, session: Session, event: Event) -> None:
@@ -81,9 +94,12 @@ class Publisher:
             self._heard_s = time.monotonic()
             self._stamp_ns = event.stamp_ns
             self._follow(session, event)
-        asked, self._asked = self._asked, []
-        for word in asked:
-            {"map": self._map, "entropy": self._entropy, "path": self.plan}[word](session)
+        if isinstance(event, Planned):
+            return
+        self._answer_requests(session)
+        self._take_plan(session, wait=isinstance(event, Finished))
+        if isinstance(event, Finished) and self.plans_at_end and self._is_news():
+            self.plan(session)
         if not self.send:
             return
         if isinstance(event, Finished) or time.monotonic() > self._due_s:
@@ -95,24 +111,64 @@ class Publisher:
             self._health(session, ended=isinstance(event, Finished))
 
     def plan(self, session: Session) -> None:
-        """Send the next scan's path; one without poses if there is none to fly."""
+        """Plan the next scan's path, which is sent when it is planned; the same if nothing came."""
         if self.pilot is None:
             self.words = "a path was asked for, and none are sent (--plan)"
             return
-        if self._answered is not None and self._answered[0] == self._stamp_ns:
-            self._say(PATH, self._answered[1])  # nothing has come since
+        if self.desk.busy:
+            self._held = True
             return
-        answer = Answer(None, "nothing is mapped yet")
-        if self._pose is not None and session.remap.fans:
-            geometry = session.remap.fans[-1]
-            answer = self.pilot.next_scan(session.remap.mapper, geometry, self._pose)
+        if self._answered is not None and not self._is_news():
+            session.counts.paths_sent += 1
+            self._say(PATH, self._answered[1])
+            return
+        if self._pose is None or not session.remap.fans:
+            self._answer(session, self._stamp_ns, Answer(None, "nothing is mapped yet"))
+            return
+        remap = session.remap
+        try:
+            asked = self.pilot.question(remap.mapper, remap.fans[-1], self._pose, self._stamp_ns)
+        except InsonifyError as err:
+            self._answer(session, self._stamp_ns, Answer(None, str(err)))
+            return
+        self.desk.plan(self.pilot, asked)
+        self._take_plan(session)
+
+    def _is_news(self) -> bool:
+        """Whether a ping has come since a path was answered."""
+        return self._answered is None or self._answered[0] != self._stamp_ns
+
+    def _answer_requests(self, session: Session) -> None:
+        """Answer what was asked for since; the map once, however often."""
+        asked, self._asked = self._asked, []
+        session.counts.paths_asked += asked.count("path")
+        if self.desk.busy:
+            session.counts.paths_held += asked.count("path")
+        for word in dict.fromkeys(asked):
+            {"map": self._map, "entropy": self._entropy, "path": self.plan}[word](session)
+
+    def _take_plan(self, session: Session, *, wait: bool = False) -> None:
+        """Send what is planned by now; then plan again if that was asked for, and pings came."""
+        taken = self.desk.take(wait=wait)
+        if taken is None or self.pilot is None:
+            return
+        question, answer = taken
+        self.pilot.sends(answer)
+        self._answer(session, question.stamp_ns, answer)
+        held, self._held = self._held, False
+        if held and self._is_news() and not wait:
+            self.plan(session)
+
+    def _answer(self, session: Session, stamp_ns: int, answer: Answer) -> None:
+        """Send a path; one without poses if there is none to fly."""
         self.words = f"next scan: {answer.why}" if answer.path else f"no next scan: {answer.why}"
-        way = () if answer.path is None else answer.path.waypoints
         origin = session.remap.mapper.voxels.origin_m
-        world = tuple(pose.moved(origin) for pose in way)
-        path = messages.path(world, self._stamp_ns, session.poser.world)
-        self._answered = self._stamp_ns, path
+        world = tuple(pose.moved(origin) for pose in answer.waypoints)
+        path = messages.path(world, stamp_ns, session.poser.world)
+        self._answered = stamp_ns, path
+        session.counts.paths_sent += 1
         self._say(PATH, path)
+        session.tell(Planned(answer, stamp_ns))
 
     def _say(self, topic: str, message: Any) -> None:
         for send in self.send:
@@ -142,6 +198,7 @@ class Publisher:
             "waiting": session.poser.waiting,
             "poses from": session.poser.source,
             "blocks": session.remap.mapper.voxels.block_count,
+            "planning": self.desk.busy,
         }
         silent_s = time.monotonic() - self._heard_s
         level, words = _OK, self.words or "mapping"

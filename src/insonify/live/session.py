@@ -7,21 +7,28 @@ outside it, each called with what has happened.
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 from insonify.errors import GeometryError, MemoryLimitError
 from insonify.io.recordings.ros.bags import BagMessage
 from insonify.live.counts import Counts
+from insonify.live.planning import Answer
 from insonify.live.poser import Poser, Waiting
 from insonify.mission.remap import Remap, map_ping
+from insonify.planning.once import turns_of
 from insonify.types import PosedPing
 
 MOST_POSES = 50_000
 """Of the way that is drawn; beyond, every other is dropped."""
 KEPT_PINGS = 6
 """For the report; while a session goes on, up to twice as many."""
+MOST_PLANS = 200
+"""Of which the account tells."""
 TICK_S = 0.2
 
 
@@ -47,7 +54,15 @@ class Finished:
     """No more messages come."""
 
 
-Event = Heard | Tick | Finished
+@dataclass(frozen=True, slots=True, eq=False)
+class Planned:
+    """A path was asked for, and has been answered; told in the map's frame."""
+
+    answer: Answer
+    stamp_ns: int
+
+
+Event = Heard | Tick | Finished | Planned
 Watcher = Callable[["Session", Event], None]
 
 
@@ -65,6 +80,7 @@ class Session:
         self.poser, self.remap = poser, remap
         self.watchers = list(watchers)
         self.number = 0
+        self.plans: deque[Planned] = deque(maxlen=MOST_PLANS)
         self._stride = 1
         self._ticked_s = time.monotonic()
 
@@ -80,18 +96,43 @@ class Session:
             RecordingError: Something of the recording or the bus is the user's to say.
         """
         if message is None:
-            self._map(self.poser.tick(time.time_ns()))
+            self._map(self.poser.tick())
         else:
             self._map(self.poser.take(message))
-        if time.monotonic() - self._ticked_s >= TICK_S:
+        if message is None or time.monotonic() - self._ticked_s >= TICK_S:
             self._ticked_s = time.monotonic()
-            self._tell(Tick())
+            self.tell(Tick())
 
     def finish(self) -> None:
         """Map what still waits, and end."""
         self._map(self.poser.finish())
         self.remap.mapper.finish_scan()
-        self._tell(Finished())
+        self.tell(Finished())
+
+    def tell(self, event: Event) -> None:
+        """Tell the watchers of something; a plan is kept for the account too."""
+        if isinstance(event, Planned):
+            self.plans.append(event)
+        for watcher in self.watchers:
+            watcher(self, event)
+
+    def plans_told(self) -> list[dict[str, Any]]:
+        """The last plans in the world's coordinates: where the way and the scan turn, and why."""
+        origin_m = self.remap.mapper.voxels.origin_m
+        return [
+            {
+                "stamp_ns": one.stamp_ns,
+                "why": one.answer.why,
+                "waypoints": [
+                    [
+                        *(round(c, 4) for c in pose.moved(origin_m).position_m),
+                        round(math.degrees(pose.yaw_rad), 4),
+                    ]
+                    for pose in (turns_of(one.answer.waypoints) if one.answer.waypoints else ())
+                ],
+            }
+            for one in self.plans
+        ]
 
     def _map(self, pings: Iterable[tuple[Waiting, PosedPing]]) -> None:
         for waiting, told in pings:
@@ -107,7 +148,7 @@ class Session:
                 self.counts.mapped += 1
                 self._keep(moved)
                 self._time(waiting)
-            self._tell(Heard(posed, waiting.stamp_ns))
+            self.tell(Heard(posed, waiting.stamp_ns))
 
     def _keep(self, moved: PosedPing) -> None:
         """Keep some pings and the way for pictures, evenly, however many come."""
@@ -124,10 +165,6 @@ class Session:
         sent_ns = getattr(waiting.message, "sent_ns", 0)
         if sent_ns:
             self.counts.latencies_s.append((time.time_ns() - sent_ns) * 1e-9)
-
-    def _tell(self, event: Event) -> None:
-        for watcher in self.watchers:
-            watcher(self, event)
 
 
 def follow(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from insonify.live.session import Event, Finished, Heard, Session
+from insonify.live.session import Event, Finished, Heard, Planned, Session
 from insonify.types import Box, PosedPing
 from insonify.view.page import Page
 from insonify.view.story import MOST_MOMENTS, Story
@@ -41,6 +41,10 @@ class Narrator:
             if self._is_due():
                 self._add_map(session)
             self.story.changed()
+        elif isinstance(event, Planned):
+            if event.answer.decision is not None:
+                self.story.decisions.append((len(self.story.moments), event.answer.decision))
+                self.story.changed()
         elif isinstance(event, Finished):
             if self.story.moments:
                 self._add_map(session)

@@ -35,8 +35,7 @@ def heard(
     bus: Bus, reading: Reading, publisher: Publisher, idle_s: float
 ) -> Iterator[BagMessage | None]:
     """The bus as a source of a session; requests go to the publisher."""
-    for message in bus.messages(wanted_by(reading), idle_s):
-        yield None if message is None or publisher.hears(message) else message
+    return publisher.requests_heard(bus.messages(wanted_by(reading), idle_s))
 
 
 def counting_losses(bus: Bus) -> Callable[[Session, Event], None]:

@@ -105,6 +105,9 @@ def _way_round(
     free = ndimage.distance_transform_edt(~grid) * cell > clearance_m + 1.5 * cell
     first, last = (tuple(int(c) for c in (end - corner) / cell) for end in ends)
     free[first] = free[last] = True
+    areas, _ = ndimage.label(free, structure=np.ones((3, 3)))
+    if areas[first] != areas[last]:
+        return None  # as the search would find after all that can be reached
     cells = _shortest(free, (first[0], first[1]), (last[0], last[1]))
     if cells is None:
         return None
