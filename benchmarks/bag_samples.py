@@ -35,6 +35,11 @@ _DEFINITIONS = {
 }
 
 
+def definitions_of(kind: str) -> str:
+    """How the driver of a type defines it, ``pkg/msg/Name``."""
+    return _DEFINITIONS[kind]
+
+
 class BagMaker:
     """Messages of ROS 1 or 2, and bags of them."""
 

@@ -231,7 +231,7 @@ def _live_on_bus(
         for topic, kind in ANSWERS.items():
             bus.writer(topic, kind)
         watchers = [*watchers, counting_losses(bus), _shown(bar)]
-        source = heard(bus, reading, publisher, math.inf if idle_s is None else idle_s)
+        source = heard(bus, poser, publisher, math.inf if idle_s is None else idle_s)
         result, folder = run_session(order, poser, source, watchers, ended)
     _tell(result, folder, poser.counts, out)
 
@@ -300,9 +300,11 @@ def play(
     ):
         if not await_listener(bus, played.topics, played.sonar, wait, ended) and not ended():
             tell(f"insonify: nobody listens to {played.sonar} here; it is played all the same")
-        sent = publish_all(
+        sent, unknown = publish_all(
             bus, paced(played.messages(), rate), ended, lambda n: bar.tell(f"{n} messages")
         )
+    for topic, kind in unknown.items():
+        tell(f"insonify: {topic} was not published: {kind} has no definition in {file}")
     tell(f"insonify: {sent} messages of {file} were published in DDS domain {bus.domain}")
     if ended():
         raise typer.Exit(EXIT_INTERRUPTED)

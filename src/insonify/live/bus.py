@@ -26,6 +26,8 @@ from insonify.errors import ConfigError
 from insonify.extras import require
 from insonify.io.recordings.ros.bags import BagMessage
 from insonify.io.recordings.ros.messages import message_types
+from insonify.io.recordings.ros.pings import sonar_shape
+from insonify.io.recordings.ros.workspaces import fields_of
 
 require("live", "Programs on the robot's bus", "cyclonedds")
 
@@ -204,8 +206,8 @@ class Bus:
         for found in self._found.take(64):
             name, kind = str(found.topic_name), _kind(str(found.type_name))
             topic = name.removeprefix(PREFIX)
-            known = kind in message_types().fielddefs and name.startswith(f"{PREFIX}/")
-            if not known or topic in self._writers or not wanted(topic, kind):
+            heard = name.startswith(f"{PREFIX}/") and topic not in self._writers
+            if not heard or not wanted(topic, kind) or fields_of(kind) is None:
                 continue
             offered = (
                 Policy.Reliability.BestEffort not in found.qos,
@@ -221,7 +223,7 @@ class Bus:
             if offered == asked:
                 return
             self._waitset.detach(self._conditions.pop(reader))
-        large = "Sonar" in kind.rsplit("/", 1)[-1]
+        large = sonar_shape(kind, fields_of(kind)) is not None
         quality = _quality(
             reliable=offered[0], latched=offered[1], depth=LARGE_DEPTH if large else SMALL_DEPTH
         )
@@ -237,7 +239,7 @@ class Bus:
                 if sample.sample_info.valid_data:
                     sent_ns = int(sample.sample_info.source_timestamp)
                     decode = _decoder(sample.cdr, kind)
-                    came.append(BusMessage(topic, kind, now_ns, decode, sent_ns))
+                    came.append(BusMessage(topic, kind, now_ns, decode, sent_ns=sent_ns))
         return sorted(came, key=lambda one: one.sent_ns)
 
 

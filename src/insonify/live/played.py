@@ -8,17 +8,19 @@ which tell all of them unrounded.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from insonify.io.recordings import open_bag_at, open_recording
 from insonify.io.recordings.recording import Reading
-from insonify.io.recordings.ros.bags import Bag, BagMessage
+from insonify.io.recordings.ros.bags import DAMAGE, Bag, BagMessage
 from insonify.io.recordings.ros.index import STATE, index_of, namespace
 from insonify.io.recordings.ros.recording import scaled_pixels, sonar_topic
 from insonify.io.recordings.ros.whereabouts import whereabouts
+from insonify.io.recordings.ros.workspaces import learn
 from insonify.live.counts import Counts
 from insonify.live.poser import Poser, Settled, spaces_of
 from insonify.results.replay import posed_messages, timed
@@ -86,7 +88,7 @@ def open_played(path: Path, reading: Reading) -> Played:
     doubts = tuple(recording.facts.get("doubts", ()))
     bag = open_bag_at(path)
     if bag is not None and reading.poses is None:
-        settled, topics = _settled(bag, reading)
+        settled, topics = _settled(_teaching(bag), reading)
         return Played(
             recording.count,
             settled.topic,
@@ -110,6 +112,21 @@ def open_played(path: Path, reading: Reading) -> Played:
     return Played(
         recording.count, f"/{SONAR}/image", PING_TOPICS, messages, Reading(), None, doubts
     )
+
+
+def _teaching(bag: Bag) -> Bag:
+    """A bag whose own types are known once it was read, so that they can be published."""
+
+    def read(topics: Collection[str] | None) -> Iterator[BagMessage]:
+        met: set[str] = set()
+        for message in bag.read(topics):
+            if message.kind not in met and message.types is not None:
+                met.add(message.kind)
+                with suppress(*DAMAGE):
+                    learn(message.kind, message.types)
+            yield message
+
+    return replace(bag, read=read)
 
 
 def as_message(topic: str, message: Any, now_ns: int) -> BagMessage:

@@ -123,6 +123,11 @@ class Poser:
         self._newest_ns = 0
 
     @property
+    def is_settled(self) -> bool:
+        """Whether it is settled which topics are meant."""
+        return self._settled is not None
+
+    @property
     def doubts(self) -> list[str]:
         """What had to be assumed."""
         poses = () if self._settled is None else self._settled.poses.doubts

@@ -71,12 +71,13 @@ DAMAGE = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagMessage:
-    """A message not yet decoded."""
+    """A message not yet decoded; ``types`` has the definitions of its bag, if it is of one."""
 
     topic: str
     kind: str
     time_ns: int
     decode: Callable[[], Any]
+    types: Typestore | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -131,7 +132,8 @@ def _read_mcap(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessage]
                 bag.cut = reason(err)
                 return
             if topics is None or topic in topics:
-                yield BagMessage(topic, kind, record.log_time, _decoder(store, record.data, kind))
+                decode = _decoder(store, record.data, kind)
+                yield BagMessage(topic, kind, record.log_time, decode, store)
 
 
 def _channel(
@@ -167,9 +169,8 @@ def _read_rosbags(bag: Bag, topics: Collection[str] | None) -> Iterator[BagMessa
                     bag.cut = reason(err)
                     return
                 kind = connection.msgtype
-                yield BagMessage(
-                    connection.topic, kind, time_ns, _reader_decoder(reader, raw, kind)
-                )
+                decode = _reader_decoder(reader, raw, kind)
+                yield BagMessage(connection.topic, kind, time_ns, decode, reader.typestore)
     except DAMAGE as err:
         raise RecordingError(
             f"{bag.path}: damaged, or not a whole {bag.format} ({reason(err)})"
