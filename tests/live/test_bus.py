@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from pathlib import Path
@@ -23,13 +24,16 @@ from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.live import publishing
 from insonify.live.counts import Counts
 from insonify.live.planning import Pilot
+from insonify.live.played import PING_TOPICS
 from insonify.live.poser import Poser
 from insonify.live.publishing import ANSWERS, MAP, PATH, REQUEST, Publisher
+from insonify.live.running import Order, run_session
 from insonify.live.session import Finished, Heard, Session, Tick
 from insonify.mapping.factory import make_mapper
 from insonify.mapping.mapper import MappingSettings
 from insonify.mission.remap import Remap
 from insonify.planning.active import EntropySettings
+from insonify.results.map import MapConfig
 from insonify.results.replay import posed_messages
 from insonify.types import Box, FanGeometry, Ping, Pose, PosedPing
 
@@ -145,6 +149,79 @@ def test_writers_that_offer_less_are_heard_too(domain: int) -> None:
             said |= {message.decode().data for message in other.poll(everything, 0.1)}
             said -= {"reliable"}
         assert said == {"one", "two"}
+
+
+def test_what_makes_room_for_later_messages_is_counted(
+    domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However long nobody takes anything: what came is the newest and what is counted."""
+    from insonify.live import bus as bus_module
+    from insonify.live.bus import Bus
+
+    monkeypatch.setattr(bus_module, "SMALL_DEPTH", 5)
+    with Bus() as one, Bus() as other:
+        for topic in ("/said", "/told"):
+            one.writer(topic, "std_msgs/msg/String")
+            await_match(one, topic, other)
+        for number in range(3000):  # more than any queue of DDS holds
+            one.publish("/said", messages.new("std_msgs/String", data=f"{number}"))
+        one.publish("/told", messages.new("std_msgs/String", data="all"))
+        until = time.monotonic() + 20.0
+        while other.overwritten < 2995 and time.monotonic() < until:
+            time.sleep(0.01)
+        came = [message.decode().data for message in hear(other, 6)]
+        assert sorted(came) == sorted(["2995", "2996", "2997", "2998", "2999", "all"])
+        assert other.overwritten == 2995 and other.lost == 0
+
+
+def test_a_session_that_is_behind_says_so(domain: int, monkeypatch: pytest.MonkeyPatch,
+                                          tmp_path: Path) -> None:  # fmt: skip
+    """What it takes and what it had no room for are all that was sent."""
+    from insonify.live import bus as bus_module
+    from insonify.live.bus import Bus
+    from insonify.live.wiring import await_listener, counting_losses, heard
+
+    monkeypatch.setattr(bus_module, "LARGE_DEPTH", 4)
+    monkeypatch.setattr(bus_module, "SMALL_DEPTH", 4)
+    monkeypatch.setattr("insonify.results.map._report", lambda remap, path: None)
+    fan, sent = FanGeometry(1.0, 0.3, 16, 40, 0.5, 8.0), 0
+    poser, said = Poser(Reading(), Counts()), []
+    publisher = Publisher([lambda topic, message: said.append((topic, message))], every_s=0.05)
+
+    def slow(session: Session, event: Any) -> None:
+        if isinstance(event, Heard):
+            time.sleep(0.05)
+
+    def robot() -> None:
+        nonlocal sent
+        with Bus() as bus:
+            await_listener(bus, PING_TOPICS, "/sonar/image", 20.0)
+            for k in range(1, 41):
+                posed = PosedPing(Ping(np.eye(40, 16, dtype=np.float32), fan),
+                                  Pose(0.1 * k, 0.0, -5.0))  # fmt: skip
+                told = posed_messages("sonar", posed, k * 10**9, 1e6, 1500.0)
+                for topic, message in told.items():
+                    bus.publish(topic, message)
+                    sent += topic in other.topics
+            time.sleep(1.0)
+
+    with Bus() as other:
+        thread = threading.Thread(target=robot)
+        thread.start()
+        watchers = [slow, counting_losses(other), publisher.watch]
+        order = Order(MapConfig(mapping=MappingSettings(voxel_m=0.5)), None, tmp_path / "L")
+        run_session(order, poser, heard(other, poser, publisher, 4.0), watchers)
+        thread.join()
+    counts = poser.counts
+    assert counts.overwritten > 0 and counts.lost == 0
+    assert counts.messages + counts.overwritten == sent
+    assert counts.longest_gap_s >= 2.0
+    account = json.loads((tmp_path / "L/live.json").read_text())
+    assert account["overwritten"] == counts.overwritten
+    told = [message.status[0] for topic, message in said if topic == "/diagnostics"]
+    assert any(one.level == 1 and "were overwritten" in one.message for one in told)
+    values = {value.key: value.value for value in told[-1].values}
+    assert values["overwritten"] == str(counts.overwritten)
 
 
 def test_a_domain_that_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,16 +32,7 @@ from insonify.io.recordings.ros.workspaces import fields_of
 require("live", "Programs on the robot's bus", "cyclonedds")
 
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication  # noqa: E402
-from cyclonedds.core import (  # noqa: E402
-    DDSException,
-    InstanceState,
-    Policy,
-    Qos,
-    ReadCondition,
-    SampleState,
-    ViewState,
-    WaitSet,
-)
+from cyclonedds.core import DDSException, Policy, Qos  # noqa: E402
 from cyclonedds.domain import DomainParticipant  # noqa: E402
 from cyclonedds.idl import IdlStruct, make_idl_struct  # noqa: E402
 from cyclonedds.idl import types as idl  # noqa: E402
@@ -50,13 +41,16 @@ from cyclonedds.sub import DataReader  # noqa: E402
 from cyclonedds.topic import Topic  # noqa: E402
 from cyclonedds.util import duration  # noqa: E402
 
+from insonify.live.inbox import Inbox  # noqa: E402
+
 PREFIX = "rt"
 LARGE_DEPTH, SMALL_DEPTH = 64, 1000
 """Messages of pings, and of anything else, that wait until they are taken; then the oldest go."""
 _TAKEN = 8
 """Messages of a topic that are taken at once."""
 _WAIT_S = 0.1
-_UNREAD = ViewState.Any | InstanceState.Any | SampleState.NotRead
+_FOUND, _MOST_FOUND = "", 10_000
+"""The name of what is found on the bus, which no topic has, and how much of it waits."""
 _PLAIN = {
     "bool": bool,
     "byte": idl.uint8,
@@ -102,23 +96,26 @@ class Bus:
                 f"DDS domain {self.domain} cannot be joined ({err.msg}); check CYCLONEDDS_URI and "
                 "the network's interfaces (`insonify doctor`)"
             ) from err
-        self._found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
-        self._waitset = WaitSet(self._participant)
-        self._conditions: dict[Any, Any] = {}
-        self._wake_by(self._found)
-        self._readers: dict[str, tuple[DataReader[Any], str, tuple[bool, bool]]] = {}
+        self._inbox = Inbox(self._participant)
+        found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        self._inbox.read(_FOUND, found, _MOST_FOUND)
+        self._heard: dict[str, tuple[str, tuple[bool, bool]]] = {}
         self._writers: dict[str, DataWriter[Any]] = {}
 
     @property
     def lost(self) -> int:
-        """Messages that readers know they have missed."""
-        readers: list[Any] = [reader for reader, *_ in self._readers.values()]
-        return sum(int(reader.get_sample_lost_status().total_count) for reader in readers)
+        """Messages that did not come, of those that DDS knows of."""
+        return self._inbox.lost
+
+    @property
+    def overwritten(self) -> int:
+        """Messages that came, and made room for later ones before they were taken."""
+        return self._inbox.overwritten
 
     @property
     def topics(self) -> tuple[str, ...]:
         """What is read."""
-        return tuple(sorted(self._readers))
+        return tuple(sorted(self._heard))
 
     def publish(self, topic: str, message: Any, *, latched: bool = False) -> None:
         """Send a message; a topic is opened by its first one.
@@ -172,14 +169,14 @@ class Bus:
 
     def poll(self, wanted: Callable[[str, str], bool], wait_s: float = 0.0) -> Sequence[BagMessage]:
         """What has come, some of each topic, after a wait for something to come."""
-        self._waitset.wait(duration(milliseconds=round(1e3 * wait_s)))
+        self._inbox.wait(wait_s)
         self._discover(wanted)
         return self._take()
 
     def close(self) -> None:
         """Leave."""
-        self._conditions.clear()
-        self._readers.clear()
+        self._inbox.close()
+        self._heard.clear()
         self._writers.clear()
 
     def __enter__(self) -> Self:
@@ -193,17 +190,12 @@ class Bus:
     ) -> None:
         self.close()
 
-    def _wake_by(self, reader: Any) -> None:
-        condition = ReadCondition(reader, _UNREAD)
-        self._waitset.attach(condition)
-        self._conditions[reader] = condition
-
     def _topic(self, topic: str, kind: str) -> Topic[Any]:
         return Topic(self._participant, f"{PREFIX}{topic}", _type(kind))
 
     def _discover(self, wanted: Callable[[str, str], bool]) -> None:
         """Read what has begun to be written."""
-        for found in self._found.take(64):
+        for found, _ in self._inbox.take(_FOUND, _MOST_FOUND):
             name, kind = str(found.topic_name), _kind(str(found.type_name))
             topic = name.removeprefix(PREFIX)
             heard = name.startswith(f"{PREFIX}/") and topic not in self._writers
@@ -217,29 +209,24 @@ class Bus:
 
     def _read(self, topic: str, kind: str, offered: tuple[bool, bool]) -> None:
         """Read a topic as all of its writers offer it; reliable, and told what was said before."""
-        if topic in self._readers:
-            reader, _, asked = self._readers[topic]
+        if topic in self._heard:
+            _, asked = self._heard[topic]
             offered = (offered[0] and asked[0], offered[1] and asked[1])
             if offered == asked:
                 return
-            self._waitset.detach(self._conditions.pop(reader))
         large = sonar_shape(kind, fields_of(kind)) is not None
-        quality = _quality(
-            reliable=offered[0], latched=offered[1], depth=LARGE_DEPTH if large else SMALL_DEPTH
-        )
+        quality = _quality(reliable=offered[0], latched=offered[1], depth=0)
         reader = DataReader(self._participant, self._topic(topic, kind), qos=quality)
-        self._readers[topic] = reader, kind, offered
-        self._wake_by(reader)
+        self._heard[topic] = kind, offered
+        self._inbox.read(topic, reader, LARGE_DEPTH if large else SMALL_DEPTH)
 
     def _take(self) -> list[BusMessage]:
-        now_ns = time.time_ns()
         came: list[BusMessage] = []
-        for topic, (reader, kind, _) in self._readers.items():
-            for sample in reader.take(_TAKEN):
-                if sample.sample_info.valid_data:
-                    sent_ns = int(sample.sample_info.source_timestamp)
-                    decode = _decoder(sample.cdr, kind)
-                    came.append(BusMessage(topic, kind, now_ns, decode, sent_ns=sent_ns))
+        for topic, (kind, _) in self._heard.items():
+            for sample, now_ns in self._inbox.take(topic, _TAKEN):
+                sent_ns = int(sample.sample_info.source_timestamp)
+                decode = _decoder(sample.cdr, kind)
+                came.append(BusMessage(topic, kind, now_ns, decode, sent_ns=sent_ns))
         return sorted(came, key=lambda one: one.sent_ns)
 
 
@@ -253,12 +240,13 @@ def _kind(name: str) -> str:
 
 
 def _quality(*, reliable: bool, latched: bool, depth: int) -> Qos:
+    """What a reader asks for or a writer offers; all is kept if no depth is given."""
     return Qos(
         Policy.Reliability.Reliable(duration(milliseconds=100))
         if reliable
         else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
-        Policy.History.KeepLast(depth),
+        Policy.History.KeepLast(depth) if depth else Policy.History.KeepAll,
     )
 
 

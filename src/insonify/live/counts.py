@@ -28,10 +28,12 @@ class Counts:
         poses: Messages of poses.
         late_poses: Of them, those that came after a later one.
         clock_resets: How often the poses' clock was set back.
-        lost: Samples that the bus says it has lost.
+        lost: Messages that did not come, of those that DDS knows of.
+        overwritten: Messages that came and made room for later ones, because mapping was behind.
         paths_asked: Requests for a path.
         paths_held: Of them, those that came while one was planned, and were answered after it.
         paths_sent: Answers, those that there is none to fly too.
+        longest_gap_s: Between two pings, by the times that they tell.
         last_damage: What was wrong with the last that could not be read.
         latencies_s: From a ping's sending to its place in the map, of the last thousands.
     """
@@ -48,9 +50,11 @@ class Counts:
     late_poses: int = 0
     clock_resets: int = 0
     lost: int = 0
+    overwritten: int = 0
     paths_asked: int = 0
     paths_held: int = 0
     paths_sent: int = 0
+    longest_gap_s: float = 0.0
     last_damage: str = ""
     latencies_s: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
 

@@ -240,6 +240,9 @@ class Poser:
         reset = stamp < self._newest_ns - 1e9 * self._patience.window_s
         if stamp < self._newest_ns and not reset:
             self.counts.out_of_order += 1
+        if self._newest_ns and not reset:
+            gap_s = round((stamp - self._newest_ns) * 1e-9, 3)
+            self.counts.longest_gap_s = max(self.counts.longest_gap_s, gap_s)
         self._newest_ns = stamp if reset else max(self._newest_ns, stamp)
         self._seen.append(mark)
         self._first_ns = self._first_ns or self._now_ns

@@ -72,6 +72,7 @@ class Publisher:
     _heard_s: float = field(default_factory=time.monotonic)
     _asked: list[str] = field(default_factory=list)
     _held: bool = False
+    _missed: tuple[int, int] = (0, 0)
 
     def requests_heard(self, source: Iterable[BagMessage | None]) -> Iterator[BagMessage | None]:
         """A source without its requests, which are answered."""
@@ -202,10 +203,16 @@ class Publisher:
         }
         silent_s = time.monotonic() - self._heard_s
         level, words = _OK, self.words or "mapping"
+        before, self._missed = self._missed, (session.counts.lost, session.counts.overwritten)
         if ended:
             level, words = _STALE, "ended"
         elif silent_s > 5.0:
             level, words = _WARN, f"no ping for {silent_s:.0f} s"
+        elif self._missed != before:
+            words = "since the last time, the bus lost {} messages and {} were overwritten".format(
+                *np.subtract(self._missed, before)
+            )
+            level = _WARN
         elif session.counts.refused or session.counts.unposed > session.counts.mapped:
             level, words = _WARN, session.counts.last_damage or "most pings have no pose"
         values = [

@@ -59,10 +59,10 @@ def heard(
 
 
 def counting_losses(bus: Bus) -> Callable[[Session, Event], None]:
-    """A watcher that notes what the bus has lost."""
+    """A watcher that notes what the bus has lost, or had no room for."""
 
     def watch(session: Session, event: Event) -> None:
-        session.counts.lost = bus.lost
+        session.counts.lost, session.counts.overwritten = bus.lost, bus.overwritten
 
     return watch
 
