@@ -8,19 +8,16 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks import live_kills
 from benchmarks.bag_samples import plain_bag
 
 from insonify.errors import ConfigError
-from insonify.io.recordings.recording import Reading, RecordingWarning
+from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros import messages
-from insonify.io.recordings.ros.mcap_writing import McapWriter
 from insonify.live import publishing
 from insonify.live.counts import Counts
 from insonify.live.planning import Pilot
@@ -363,24 +360,3 @@ def test_a_bag_of_another_program_over_the_bus(
     done(live)
     done(start("map", "bag/bag.mcap", *voxel, "--out", "M", cwd=tmp_path))
     assert (tmp_path / "L/map.npz").read_bytes() == (tmp_path / "M/map.npz").read_bytes()
-
-
-@pytest.mark.slow
-def test_what_was_on_the_disk_at_a_kill_is_in_the_map(
-    domain: int, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    """The short version of `python -m benchmarks.live_kills`."""
-    fan = FanGeometry(1.0, 0.3, 16, 40, 0.5, 8.0)
-    with McapWriter(tmp_path / "long.mcap") as writer:
-        for k in range(1, 41):
-            ping = Ping((rng.random((40, 16)) > 0.9).astype(np.float32), fan)
-            posed = PosedPing(ping, Pose(0.1 * k, 0.0, -5.0, yaw_rad=0.01 * k))
-            told = posed_messages("sonar", posed, k * 10**9, 1e6, 1500.0, picture=False)
-            for topic, message in told.items():
-                writer.write(topic, message, k * 10**9)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RecordingWarning)
-        trial = live_kills.trial(tmp_path, tmp_path / "long.mcap", 3.0, 1, rng)
-    assert trial.kills == 1 and trial.flushed and trial.received > len(trial.flushed)
-    assert trial.good, trial
-    assert not list(tmp_path.glob(".L-*"))

@@ -128,6 +128,8 @@ class Keeper:
         """Write a checkpoint beside what goes on; what it holds is flushed."""
         if self._saver is not None and self._saver.is_alive():
             return
+        if self._writer is None:  # nothing has come since; and the last scan is finished
+            return
         begun_s = time.monotonic()
         arrays = _arrays(session.remap, self.parts)
         store = session.remap.mapper.voxels.store
@@ -210,12 +212,15 @@ def remember(remap: Remap, folder: Path) -> list[dict[str, Any]]:
     file = folder / (MAP if isinstance(store, TileStore) else "") / CHECKPOINT
     there = file.is_file() if not isinstance(store, TileStore) else store.resume() is not None
     done = _load(remap, file) if there else {}
+    finished = set(list(done)[:-1])  # scans of the checkpoint's map, all but the one that went on
     parts: list[dict[str, Any]] = []
     for file in sorted((folder / RECORDINGS).glob("*.mcap")):
         pings, mapped = _remembered(remap, file, done.get(file.name, 0))
         if pings == 0:  # it was killed before it had written one
             file.unlink()
             continue
+        if file.name not in finished:
+            remap.mapper.finish_scan()
         name = f"{len(parts) + 1:03d}.mcap"
         if file.name != name:
             file.rename(file.with_name(name))
@@ -237,7 +242,6 @@ def _remembered(remap: Remap, file: Path, done: int) -> tuple[int, int]:
             mapped += posed.pose is not None
             if pings > done:
                 map_ping(remap, posed, str(file))
-    remap.mapper.finish_scan()
     return pings, mapped
 
 
