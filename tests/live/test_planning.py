@@ -158,6 +158,22 @@ def test_the_most_scans_are_kept_to() -> None:
     assert answer.path is None and "entropy.max_scans" in answer.why
 
 
+def test_a_path_that_was_not_begun_is_no_scan() -> None:
+    """Asked twice at a scan's end, as a vehicle does that is not quite there the first time."""
+    pilot = Pilot(None, EntropySettings(max_scans=2), 5, 0.4)
+    paths = [ScanPath((Pose(k, 0.0, 0.0), Pose(k + 5.0, 0.0, 0.0))) for k in (1.0, 2.0, 30.0)]
+    for path in paths[:2]:
+        pilot.sends(Answer(path, ""))
+    assert pilot.sent == 1
+    assert not pilot.flown(Pose(2.0, 0.0, 0.0)) and pilot.flown(Pose(7.0, 0.0, 0.0))
+    pilot.sends(Answer(paths[2], ""))
+    assert pilot.sent == 2
+    mapper = BayesMapper(MappingSettings())
+    assert "max_scans" not in asked(pilot, mapper, Pose(7.0, 0.0, 0.0)).why, "in its place"
+    pilot.flown(Pose(30.0, 0.0, 0.0))
+    assert "max_scans" in asked(pilot, mapper, Pose(31.0, 0.0, 0.0)).why
+
+
 class Pings:
     """A session that can be told of pings, and what it sends."""
 

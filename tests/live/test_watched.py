@@ -71,6 +71,28 @@ def test_what_a_session_tells_is_told_in_the_frame_of_its_map() -> None:
     assert not page.shown
 
 
+def test_the_last_ping_is_in_the_map_when_no_more_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(showing, "_EVERY_S", 0.2)
+    monkeypatch.setattr(showing, "_PATIENCE_S", 0.1)
+    story = Story("a dive")
+    narrator = Narrator(NoPage(), story, None)  # type: ignore[arg-type]
+
+    def watch(session: Session, event: Event) -> None:
+        if not isinstance(event, Finished):
+            narrator.watch(session, event)
+
+    session = told(3, watch)
+    found = story.maps.at(3)
+    assert found is not None and found[0] == 1
+
+    def shown() -> bool:
+        narrator.watch(session, Tick())
+        found = story.maps.at(3)
+        return found is not None and found[0] == 3
+
+    until(shown)
+
+
 @pytest.mark.parametrize("count", [3, 4, 5, 8, 9, 23, 64])
 def test_a_session_that_goes_on_is_told_with_fewer_pings(
     count: int, monkeypatch: pytest.MonkeyPatch

@@ -85,7 +85,8 @@ class Pilot:
         settings: The entropy planner's.
         waypoints: Of each scan.
         clearance_m: Least distance of the way and the scan to what is mapped.
-        sent: How many paths were answered.
+        sent: How many paths were answered, but for those that another took the place of before
+            they were begun.
     """
 
     region: Box | None
@@ -121,7 +122,7 @@ class Pilot:
     def answer(self, question: Question) -> Answer:
         """The scan that resolves most, of those that keep clear; and the way there."""
         voxels, pose = question.belief.voxels, question.pose
-        if self.sent >= self.settings.max_scans:
+        if self.sent - self._waits >= self.settings.max_scans:
             return Answer(None, f"{self.sent} scans are planned, the most (entropy.max_scans)")
         region = question.region or voxels.around_occupied()
         decision = plan_next(
@@ -150,8 +151,13 @@ class Pilot:
     def sends(self, answer: Answer) -> None:
         """Note that an answer goes out: if it has a path, that is to be flown now."""
         if answer.path is not None:
-            self.sent += 1
+            self.sent += not self._waits
             self._ahead, self._begun = answer.path, False
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the path that was sent last is not begun yet."""
+        return self._ahead is not None and not self._begun
 
     def flown(self, pose: Pose) -> bool:
         """Whether a pose ends the scan that was sent last: its begin was reached, now its end."""

@@ -169,7 +169,8 @@ class Publisher:
         self._answered = stamp_ns, path
         session.counts.paths_sent += 1
         self._say(PATH, path)
-        session.tell(Planned(answer, stamp_ns))
+        sent = 0 if self.pilot is None else self.pilot.sent
+        session.tell(Planned(answer, stamp_ns, sent))
 
     def _say(self, topic: str, message: Any) -> None:
         for send in self.send:

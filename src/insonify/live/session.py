@@ -56,10 +56,15 @@ class Finished:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Planned:
-    """A path was asked for, and has been answered; told in the map's frame."""
+    """A path was asked for, and has been answered.
+
+    The answer is told in the map's frame, of the map up to the ping of the stamp; ``scans`` were
+    sent by then, this one counted.
+    """
 
     answer: Answer
     stamp_ns: int
+    scans: int
 
 
 Event = Heard | Tick | Finished | Planned

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from insonify.live.session import Event, Finished, Heard, Planned, Session
+from insonify.live.session import Event, Finished, Heard, Planned, Session, Tick
 from insonify.types import Box, PosedPing
 from insonify.view.page import Page
 from insonify.view.story import MOST_MOMENTS, Story
@@ -30,6 +30,8 @@ class Narrator:
         self.story = story
         self._page, self._region = page, region
         self._due_s = 0.0
+        self._scan = 1
+        self._behind = False
 
     def watch(self, session: Session, event: Event) -> None:
         """Tell what has happened."""
@@ -37,11 +39,17 @@ class Narrator:
             if len(self.story.moments) >= MOST_MOMENTS:
                 self.story = self.story.halved()
                 self._page.show(self.story)
-            self.story.add_ping(_in_map(event.posed, session))
+            self.story.add_ping(_in_map(event.posed, session), self._scan)
+            self._behind = True
             if self._is_due():
                 self._add_map(session)
             self.story.changed()
+        elif isinstance(event, Tick):
+            if self._behind and self._is_due():
+                self._add_map(session)
+                self.story.changed()
         elif isinstance(event, Planned):
+            self._scan = 1 + event.scans
             if event.answer.decision is not None:
                 self.story.decisions.append((len(self.story.moments), event.answer.decision))
                 self.story.changed()
@@ -62,7 +70,7 @@ class Narrator:
         voxels = session.remap.mapper.voxels
         if not voxels.block_count:
             return
-        begun_s = time.monotonic()
+        begun_s, self._behind = time.monotonic(), False
         region = self._region
         shown = None if region is None else region.relative_to(voxels.origin_m)
         self.story.add_map(voxels, shown or voxels.around_occupied())
