@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from benchmarks import live_kills
 
-from insonify.io.maps import save_map
+from insonify.io.maps import load_map, ondisk, save_map
 from insonify.io.recordings import open_recording
 from insonify.io.recordings.recording import Reading, RecordingWarning
 from insonify.io.recordings.ros.bags import BagMessage
@@ -33,7 +33,6 @@ from insonify.results.replay import posed_messages
 from insonify.types import FanGeometry, Ping, Pose, PosedPing
 
 FAN = FanGeometry(0.7, 0.2, 32, 64, 0.2, 2.0)
-SETTINGS = MappingSettings(voxel_m=0.1, pixel_threshold=120)
 SCANS = """
 import numpy as np
 from insonify.mapping.bayes import BayesMapper
@@ -98,10 +97,14 @@ def now_and_then(save: Callable[..., None]) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize("deaths", [(), (30,), (33, 34, 71)])
-@pytest.mark.parametrize("mapper", ["bayes", "carving", "scans.py:Scans"])
+@pytest.mark.parametrize(
+    ("mapper", "memory_bytes"),
+    [("bayes", None), ("carving", None), ("scans.py:Scans", None), ("bayes", 1300 * 2560)],
+)
 def test_a_session_that_rolls_is_mapped_again_from_its_recordings(
-    mapper: str, deaths: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    mapper: str, memory_bytes: int | None, deaths: tuple[int, ...], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """With a checkpoint at every seventh ping, so that a restart begins inside a recording."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scans.py").write_text(SCANS)
@@ -110,14 +113,18 @@ def test_a_session_that_rolls_is_mapped_again_from_its_recordings(
     monkeypatch.setattr(keeping, "_LEAST_S", 0.0)
     monkeypatch.setattr(keeping.Keeper, "_save", now_and_then(keeping.Keeper._save))
     monkeypatch.setattr(session_module, "TICK_S", 0.0)
-    config = MapConfig(mapper=mapper, mapping=SETTINGS)
+    monkeypatch.setattr(ondisk, "LEAST_BYTES", 0)
+    voxel_m = 0.1 if memory_bytes is None else 0.03  # so that it is more than what is held
+    settings = MappingSettings(voxel_m=voxel_m, pixel_threshold=120)
+    config = MapConfig(mapper=mapper, mapping=settings)
     told = dive(80)
     each = len(told) // 80
     begin = 0
     for end in (*deaths, 80):
         some = told[begin * each : end * each]
         begin = end
-        poser, order = Poser(Reading(), Counts()), Order(config, None, tmp_path / "L", job="job")
+        poser = Poser(Reading(), Counts())
+        order = Order(config, None, tmp_path / "L", memory_bytes=memory_bytes, job="job")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RecordingWarning)
             if end < 80:
@@ -128,10 +135,12 @@ def test_a_session_that_rolls_is_mapped_again_from_its_recordings(
     parts = sorted((tmp_path / "L/recordings").iterdir())
     assert len(parts) >= 4 + (len(deaths) > 0)
     assert [part.name for part in parts] == [f"{k:03d}.mcap" for k in range(1, len(parts) + 1)]
-    made = make_mapper(mapper, SETTINGS)
-    remap = map_recordings([open_recording(part) for part in parts], SETTINGS, mapper=made)
+    made = make_mapper(mapper, settings)
+    remap = map_recordings([open_recording(part) for part in parts], settings, mapper=made)
     save_map(remap.mapper.voxels, tmp_path / "again.npz")
     assert remap.pings == 80
+    if memory_bytes is not None:
+        save_map(load_map(tmp_path / "L/map.zarr"), tmp_path / "L/map.npz")
     assert (tmp_path / "L/map.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
 
 

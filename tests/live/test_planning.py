@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from insonify.errors import MemoryLimitError
+from insonify.io.maps import load_map, ondisk, save_map
 from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.mcap_writing import McapWriter
@@ -150,6 +151,22 @@ def test_a_region_far_away_and_a_small_one_are_planned_as_with_the_whole_map() -
         few = pilot.answer(question)
         whole = pilot.answer(Question(mapper, region, FAN, pose, 0))
         assert (few.path, few.way, few.why) == (whole.path, whole.way, whole.why)
+
+
+def test_a_map_on_disk_is_planned_from_as_one_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ondisk, "LEAST_BYTES", 0)
+    voxels = walled_map(3, 12, 3)
+    save_map(voxels, tmp_path / "map.zarr")
+    held = load_map(tmp_path / "map.zarr", memory_bytes=600 * 2560)
+    pose, answers = Pose(-6.0, 2.0, 1.0), []
+    for region in (None, Box((-3.0, -2.0, -4.0), (3.0, 4.0, 1.0))):
+        pilot = Pilot(region, CHOSEN, 5, 0.3)
+        one, other = (asked(pilot, mapper_of(some), pose) for some in (voxels, held))
+        assert (one.path, one.way, one.why) == (other.path, other.way, other.why)
+        answers.append(one.path)
+    assert not held.in_memory and any(answers)
 
 
 def test_the_most_scans_are_kept_to() -> None:
