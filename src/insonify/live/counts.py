@@ -58,6 +58,10 @@ class Counts:
     last_damage: str = ""
     latencies_s: deque[float] = field(default_factory=lambda: deque(maxlen=_KEPT))
 
+    def note_gap(self, gap_ns: int) -> None:
+        """Note the time between two pings."""
+        self.longest_gap_s = max(self.longest_gap_s, round(gap_ns * 1e-9, 3))
+
     def latency_ms(self) -> dict[str, float] | None:
         """Median and 99 % from ping to map; None if no ping tells when it was sent."""
         if not self.latencies_s:

@@ -107,8 +107,7 @@ class Poser:
             counts: Told what happens to messages.
             settled: What is known beforehand.
             patience: How long is waited for what is not.
-            clock: Tells in nanoseconds when nothing came; of a recording, whose messages alone
-                tell the time, always 0.
+            clock: Nanoseconds; of a recording, whose messages alone tell the time, always 0.
         """
         self.reading, self.counts = reading, counts
         self._patience, self._clock = patience, clock
@@ -119,8 +118,7 @@ class Poser:
         self._spaces: frozenset[str] | None = None
         self._waiting: deque[Waiting] = deque()
         self._seen: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)
-        self._now_ns = self._first_ns = self._tried_ns = self._forgot_ns = 0
-        self._newest_ns = 0
+        self._now_ns = self._first_ns = self._tried_ns = self._forgot_ns = self._newest_ns = 0
 
     @property
     def is_settled(self) -> bool:
@@ -241,8 +239,7 @@ class Poser:
         if stamp < self._newest_ns and not reset:
             self.counts.out_of_order += 1
         if self._newest_ns and not reset:
-            gap_s = round((stamp - self._newest_ns) * 1e-9, 3)
-            self.counts.longest_gap_s = max(self.counts.longest_gap_s, gap_s)
+            self.counts.note_gap(stamp - self._newest_ns)
         self._newest_ns = stamp if reset else max(self._newest_ns, stamp)
         self._seen.append(mark)
         self._first_ns = self._first_ns or self._now_ns
