@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -282,7 +283,7 @@ def test_answers_and_health(rng: np.random.Generator, monkeypatch: pytest.Monkey
     assert first.header.stamp.sec == 3 and len(first.poses) >= 5
     start = first.poses[0].pose.position
     assert abs(start.x - 500_000.0) < 50.0 and start.z == -10.0
-    publisher.watch(session, Tick())
+    publisher.watch(session, Heard(posed, 3 * 10**9))  # however long the plan took
     status = [message for topic, message in sent if topic == "/diagnostics"][-1].status[0]
     assert status.level == 0 and "next scan" in status.message
     publisher.hears(Asked("path"))  # type: ignore[arg-type]
@@ -314,9 +315,10 @@ def done(process: subprocess.Popen[str], code: int = 0) -> str:
 def test_a_mission_in_two_processes(domain: int, tmp_path: Path) -> None:
     """The robot flies where `live` says, until it says that no scan pays; one map for both."""
     plan = ["--plan", "--region", AREA, "--waypoints", "8", "--set", "entropy.max_scans=2"]
-    live = start("live", *SMALL, *plan, "--idle", "5", "--out", "L", "--json", cwd=tmp_path)
+    live = start("live", *SMALL, *plan, "--out", "L", "--json", cwd=tmp_path)
     words = ["scan", "tetrapod", "--live-bus", *SMALL, "--set", "survey.waypoints=8"]
     done(start(*words, "--out", "R", cwd=tmp_path))
+    live.send_signal(signal.SIGTERM)
     account = json.loads(done(live))
     robots = (tmp_path / "R/map.npz").read_bytes()
     assert (tmp_path / "L/map.npz").read_bytes() == robots
@@ -336,10 +338,11 @@ def test_a_tour_on_the_bus(domain: int, tmp_path: Path) -> None:
         '[[sonars]]\nname = "fls"\nrate_hz = 4\nsonar = "park-2025"\n', encoding="utf-8"
     )
     plan = ["--plan", "--region", "90 90 -19 95 95 -17"]
-    live = start("live", *SMALL, *plan, "--idle", "5", "--out", "L", cwd=tmp_path)
+    live = start("live", *SMALL, *plan, "--out", "L", cwd=tmp_path)
     way = ["--waypoints", "-6 0 -15 0; -5.5 0 -15 0", "--navigation", "truth"]
     fly = ["fly", "tetrapod", "--sonars", "one.toml", *way, "--live", "--out", "F", "--json"]
     result = json.loads(done(start(*fly, cwd=tmp_path)))
+    live.send_signal(signal.SIGTERM)
     done(live)
     assert result["stop_reason"] == "not_worth_it" and result["pings"]["fls"] > 3
     account = json.loads((tmp_path / "L/live.json").read_text())
