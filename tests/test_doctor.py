@@ -5,16 +5,19 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from insonify.doctor import Finding, examine
+from insonify.doctor import EXTRAS, Finding, examine
 from insonify.errors import RendererError
 
 
@@ -62,6 +65,22 @@ def test_each_fault_has_its_remedy(
     gone.remove("cyclonedds")
     monkeypatch.setenv("CYCLONEDDS_URI", "file:///nowhere/dds.xml")
     assert "/nowhere/dds.xml" in found()["DDS"].fault
+
+
+def test_every_group_of_libraries_is_looked_for() -> None:
+    """By what its packages install; those of who works on insonify itself are not."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    groups = project["optional-dependencies"]
+    assert set(EXTRAS) == set(groups) - {"dev", "docs"}
+    installed_by = packages_distributions()
+    for name, modules in EXTRAS.items():
+        asked = {normal(re.split(r"[><;\[ ]", text)[0]) for text in groups[name]}
+        found = {normal(one) for module in modules for one in installed_by.get(module, [module])}
+        assert found == asked, name
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def no_egl() -> Any:

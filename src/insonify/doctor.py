@@ -25,9 +25,15 @@ EXTRAS = {
     "simulation": ("embreex", "manifold3d", "collada"),
     "live": ("cyclonedds", "foxglove"),
     "view": ("viser",),
-    "opengl": ("moderngl",),
     "maps": ("tifffile", "zarr"),
-    "mavlink": ("pymavlink",),
+    "mavlink": ("pymavlink", "serial"),
+    "waterlinked": ("wlsonar",),
+    "opengl": ("moderngl",),
+    "campaigns": ("duckdb", "pandas", "pyarrow"),
+    "cluster": ("distributed",),
+    "datasets": ("xarray", "zarr"),
+    "gymnasium": ("gymnasium",),
+    "rerun": ("rerun",),
 }
 """Groups of libraries that can be left out, by what is imported."""
 _MOST_DOMAIN = 232
