@@ -17,6 +17,7 @@ import numpy as np
 
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.bags import BagMessage
+from insonify.live.health import OK, Health
 from insonify.live.planning import Answer, Pilot
 from insonify.live.session import Event, Finished, Heard, Session
 from insonify.mapping.voxels import Blocks, VoxelMap, Voxels, probability_from_log_odds
@@ -34,7 +35,6 @@ ANSWERS = {
 REQUESTS = ("map", "entropy", "path")
 _MOST_SHARE = 0.05
 """Of the time, for sending the map; pings wait for it."""
-_OK, _WARN, _STALE = 0, 1, 3
 
 Send = Callable[[str, Any], None]
 """Sends a message on a topic."""
@@ -61,9 +61,10 @@ class Publisher:
     _pose: Pose | None = None
     _stamp_ns: int = 0
     _answered: tuple[int, Any] | None = None
-    _due_s: float = 0.0
+    _map_due_s: float = 0.0
+    _health_due_s: float = 0.0
     _shown_ns: int = -1
-    _heard_s: float = field(default_factory=time.monotonic)
+    _fares: Health = field(default_factory=Health)
     _asked: list[str] = field(default_factory=list)
 
     def hears(self, message: BagMessage) -> bool:
@@ -77,8 +78,8 @@ class Publisher:
 
     def watch(self, session: Session, event: Event) -> None:
         """Send what is due."""
+        self._fares.watch(session, event)
         if isinstance(event, Heard):
-            self._heard_s = time.monotonic()
             self._stamp_ns = event.stamp_ns
             self._follow(session, event)
         asked, self._asked = self._asked, []
@@ -86,13 +87,15 @@ class Publisher:
             {"map": self._map, "entropy": self._entropy, "path": self.plan}[word](session)
         if not self.send:
             return
-        if isinstance(event, Finished) or time.monotonic() > self._due_s:
-            begun_s = time.monotonic()
+        ended, now_s = isinstance(event, Finished), time.monotonic()
+        if ended or now_s > self._map_due_s:
             if self._shown_ns != self._stamp_ns:
                 self._map(session)
-            took_s = time.monotonic() - begun_s
-            self._due_s = begun_s + max(self.every_s, took_s / _MOST_SHARE)
-            self._health(session, ended=isinstance(event, Finished))
+            took_s = time.monotonic() - now_s
+            self._map_due_s = now_s + max(self.every_s, took_s / _MOST_SHARE)
+        if ended or now_s > self._health_due_s:
+            self._health_due_s = now_s + self.every_s
+            self._health(session)
 
     def plan(self, session: Session) -> None:
         """Send the next scan's path; one without poses if there is none to fly."""
@@ -137,20 +140,15 @@ class Publisher:
         names = ("x", "y", "z", "entropy")
         self._say(ENTROPY, messages.point_cloud(points, names, self._stamp_ns, session.poser.world))
 
-    def _health(self, session: Session, *, ended: bool) -> None:
+    def _health(self, session: Session) -> None:
         told = session.counts.to_json() | {
             "waiting": session.poser.waiting,
             "poses from": session.poser.source,
             "blocks": session.remap.mapper.voxels.block_count,
         }
-        silent_s = time.monotonic() - self._heard_s
-        level, words = _OK, self.words or "mapping"
-        if ended:
-            level, words = _STALE, "ended"
-        elif silent_s > 5.0:
-            level, words = _WARN, f"no ping for {silent_s:.0f} s"
-        elif session.counts.refused or session.counts.unposed > session.counts.mapped:
-            level, words = _WARN, session.counts.last_damage or "most pings have no pose"
+        level, words = self._fares.state(session)
+        if level == OK:
+            words = self.words or "mapping"
         values = [
             messages.new("diagnostic_msgs/KeyValue", key=key, value=str(value))
             for key, value in told.items()
