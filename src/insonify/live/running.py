@@ -104,7 +104,10 @@ def load_kernels(config: MapConfig) -> None:
     fan = FanGeometry(0.5, 0.2, 4, 16, 0.0, reach_m)
     image = np.zeros((16, 4), np.float32)
     image[8] = 1.0
-    mapper.integrate(Ping(image, fan), Pose(0.0, 0.0, 0.0))
+    fixed = image.copy()
+    fixed.setflags(write=False)  # as pixels of the bus may be
+    for pixels in (image, fixed):
+        mapper.integrate(Ping(pixels, fan), Pose(0.0, 0.0, 0.0))
     (mapper.voxels.log_odds > 0.0).any()
 
 
