@@ -25,11 +25,14 @@ from typing import Any
 from benchmarks.live_kills import LOOPBACK
 from insonify.evaluation import solid_f1
 from insonify.io.maps import load_map
+from insonify.io.recordings.ros.frame_tree import stamp_ns
 from insonify.io.truth import load_truth
+from insonify.live.bus import Bus
+from insonify.live.publishing import DIAGNOSTICS, PATH
 
 AREA = "-5.05 -4.85 -19.8 5.05 4.85 -16.317"
 """The order's, about the tetrapod."""
-PASS = "-9 -3 -15 0; 9 -3 -15 0"
+PASS = "-9 0 -14 0; 3 0 -14 0"
 _SONAR = '[[sonars]]\nname = "sonar"\nrate_hz = 4\nsonar = "park-2025"\n'
 
 
@@ -45,8 +48,23 @@ def done(process: subprocess.Popen[str]) -> str:
     """What it printed; it must end well."""
     out, told = process.communicate(timeout=3600)
     if process.returncode:
-        raise SystemExit(f"{process.args}: exit {process.returncode}\n{told}")
+        raise SystemExit(f"{process.args!r}: exit {process.returncode}\n{told}")
     return out
+
+
+def followed(robot: subprocess.Popen[str]) -> tuple[int, str]:
+    """How many paths were sent while a robot flies, and what `live` says of its last decision."""
+    sent, why = set[int](), ""
+    with Bus() as bus:
+        while robot.poll() is None:
+            for message in bus.poll(lambda topic, kind: topic in (PATH, DIAGNOSTICS), 0.2):
+                told = message.decode()
+                if message.topic == DIAGNOSTICS:
+                    words = str(told.status[0].message)
+                    why = words if "next scan" in words else why
+                elif told.poses:
+                    sent.add(stamp_ns(told.header))
+    return len(sent), why
 
 
 def flown(name: str, robot: list[str], options: argparse.Namespace, home: Path) -> dict[str, Any]:
@@ -56,7 +74,9 @@ def flown(name: str, robot: list[str], options: argparse.Namespace, home: Path) 
     live, out = f"{name}-live", f"{name}-robot"
     words = ["live", *mapping, *scans, "--plan", "--region", AREA, "--idle", "20"]
     listening = start(*words, "--out", live, "--json", home=home)
-    result = json.loads(done(start(*robot, "--out", out, "--json", home=home)))
+    flying = start(*robot, "--out", out, "--json", home=home)
+    paths, why = followed(flying)
+    result = json.loads(done(flying))
     counts = json.loads(done(listening))["messages"]
     parts = sorted(str(one) for one in (home / live / "recordings").iterdir())
     done(start("map", *parts, *mapping, "--out", f"{name}-map", home=home))
@@ -71,8 +91,10 @@ def flown(name: str, robot: list[str], options: argparse.Namespace, home: Path) 
     f1 = [solid_f1(load_map(one), truth) for one in (*maps, own)]
     same = len({one.read_bytes() for one in (*maps, own)}) == 1
     latency = counts["latency_ms"]
+    print(f"{' '.join(robot[:2])}: {why}", flush=True)
     return {
         "ended": str(result["stop_reason"]),
+        "paths sent": str(paths),
         "pings sent, mapped": f"{counts['pings']}, {counts['mapped']}",
         "lost, without a pose": f"{counts['lost']}, {counts['unposed']}",
         "F1 of live": f"{f1[0]:.6f}",
