@@ -11,6 +11,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -131,7 +132,12 @@ def test_a_plan_of_its_own_name_and_one_that_nobody_takes(tmp_path: Path) -> Non
     assert refused.returncode == 2 and "--datum" in refused.stderr
     done = _plan("--out", "next.plan", "--datum", "41.5 -71.3", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    mission = json.loads((tmp_path / "next.plan").read_text())["mission"]
+    schema = json.loads(
+        (Path(__file__).parents[1] / "io/qgroundcontrol_plan.schema.json").read_text()
+    )
+    plan = json.loads((tmp_path / "next.plan").read_text())
+    jsonschema.validate(plan, schema)
+    mission = plan["mission"]
     assert [item["command"] for item in mission["items"]][:2] == [178, 16]
     assert json.loads(done.stdout)["files"] == ["next.plan"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

@@ -45,7 +45,7 @@ def nearest_m(voxels: VoxelMap, way: list[Pose]) -> float:
     return least
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=500, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     blocks=st.integers(1, 12),
