@@ -52,7 +52,8 @@ PREFIX = "rt"
 LARGE_DEPTH, SMALL_DEPTH = 64, 1000
 """Messages of pings, and of anything else, that wait until they are taken; then the oldest go."""
 _TAKEN = 8
-"""Messages of a topic that are taken at once."""
+"""Pings of a topic that are taken at once.  All else that has come is, so that when pings queue up
+their poses and states, which are more and take no time, do not fall behind them."""
 _WAIT_S = 0.1
 _UNREAD = ViewState.Any | InstanceState.Any | SampleState.NotRead
 _PLAIN = {
@@ -221,10 +222,8 @@ class Bus:
             if offered == asked:
                 return
             self._waitset.detach(self._conditions.pop(reader))
-        large = "Sonar" in kind.rsplit("/", 1)[-1]
-        quality = _quality(
-            reliable=offered[0], latched=offered[1], depth=LARGE_DEPTH if large else SMALL_DEPTH
-        )
+        depth = LARGE_DEPTH if _is_large(kind) else SMALL_DEPTH
+        quality = _quality(reliable=offered[0], latched=offered[1], depth=depth)
         reader = DataReader(self._participant, self._topic(topic, kind), qos=quality)
         self._readers[topic] = reader, kind, offered
         self._wake_by(reader)
@@ -233,7 +232,7 @@ class Bus:
         now_ns = time.time_ns()
         came: list[BusMessage] = []
         for topic, (reader, kind, _) in self._readers.items():
-            for sample in reader.take(_TAKEN):
+            for sample in reader.take(_TAKEN if _is_large(kind) else SMALL_DEPTH):
                 if sample.sample_info.valid_data:
                     sent_ns = int(sample.sample_info.source_timestamp)
                     decode = _decoder(sample.cdr, kind)
@@ -243,6 +242,11 @@ class Bus:
 
 def _decoder(cdr: bytes, kind: str) -> Callable[[], Any]:
     return lambda: message_types().deserialize_cdr(cdr, kind)
+
+
+def _is_large(kind: str) -> bool:
+    """Whether messages of a type are pings."""
+    return "Sonar" in kind.rsplit("/", 1)[-1]
 
 
 def _kind(name: str) -> str:
