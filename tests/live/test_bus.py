@@ -186,7 +186,7 @@ def test_answers_and_health(rng: np.random.Generator) -> None:
         posed = PosedPing(Ping(image, fan, float(k)), far.moved((0.0, 0.1 * k, 0.0)))
         map_ping(remap, posed, "test")
         publisher.watch(session, Heard(posed, 10**9 * k))
-    for word in ("entropy", "path", "path", "nonsense"):
+    for word in ("map", "entropy", "path", "path", "nonsense"):
         assert publisher.hears(Asked(word))  # type: ignore[arg-type]
         publisher.watch(session, Tick())
     by_topic: dict[str, list[Any]] = {}
@@ -208,7 +208,9 @@ def test_answers_and_health(rng: np.random.Generator) -> None:
     status = by_topic["/diagnostics"][-1].status[0]
     assert status.level == 0 and "next scan" in status.message
     pilot.clearance_m = 50.0
+    publisher._map_due_s, publisher.listens = 0.0, lambda topic: topic != MAP
     publisher.watch(session, Heard(posed, 10**10))
+    assert len([topic for topic, _ in sent if topic == MAP]) == len(by_topic[MAP])
     publisher.hears(Asked("path"))  # type: ignore[arg-type]
     publisher.watch(session, Tick())
     refused = [message for topic, message in sent if topic == PATH][-1]

@@ -51,6 +51,7 @@ class Publisher:
         every_s: How often map and health are, at most; a map that takes long is sent less often,
             and one that has not changed is not.
         words: What was last decided, for people.
+        listens: Whether anybody listens to a topic; a map for nobody is not made.
     """
 
     send: list[Send]
@@ -58,6 +59,7 @@ class Publisher:
     radius_m: float = 20.0
     every_s: float = 1.0
     words: str = ""
+    listens: Callable[[str], bool] = lambda topic: True
     _pose: Pose | None = None
     _stamp_ns: int = 0
     _answered: tuple[int, Any] | None = None
@@ -89,7 +91,7 @@ class Publisher:
             return
         ended, now_s = isinstance(event, Finished), time.monotonic()
         if ended or now_s > self._map_due_s:
-            if self._shown_ns != self._stamp_ns:
+            if self._shown_ns != self._stamp_ns and self.listens(MAP):
                 self._map(session)
             took_s = time.monotonic() - now_s
             self._map_due_s = now_s + max(self.every_s, took_s / _MOST_SHARE)
