@@ -96,3 +96,23 @@ def test_the_command(tmp_path: Path) -> None:
         [*line, "--json"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert {one["what"] for one in json.loads(told.stdout)} >= {"versions", "DDS", "disk"}
+
+
+@pytest.mark.slow
+def test_the_command_without_egl_and_embree(tmp_path: Path) -> None:
+    """As where neither is installed: each is named with what to do, and it ends well."""
+    code = (
+        "import sys\nfor name in ('embreex', 'glcontext'): sys.modules[name] = None\n"
+        "sys.argv = ['insonify', 'doctor', '--json']\n"
+        "from insonify.cli import main\nmain()\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    found = {one["what"]: one for one in json.loads(told.stdout)}
+    assert "insonify[simulation]" in found["Embree"]["remedy"]
+    assert (
+        "there is no OpenGL" in found["OpenGL"]["fault"] and "libegl1" in found["OpenGL"]["fault"]
+    )
+    assert "simulation" in found["extras"]["fault"]
+    assert not found["kernels"]["fault"] and not found["disk"]["fault"]
