@@ -5,16 +5,19 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
+from importlib.metadata import packages_distributions
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from insonify.doctor import Finding, examine
+from insonify.doctor import EXTRAS, Finding, examine
 from insonify.errors import RendererError
 
 
@@ -64,6 +67,22 @@ def test_each_fault_has_its_remedy(
     assert "/nowhere/dds.xml" in found()["DDS"].fault
 
 
+def test_every_group_of_libraries_is_looked_for() -> None:
+    """By what its packages install; those of who works on insonify itself are not."""
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    groups = project["optional-dependencies"]
+    assert set(EXTRAS) == set(groups) - {"dev", "docs"}
+    installed_by = packages_distributions()
+    for name, modules in EXTRAS.items():
+        asked = {normal(re.split(r"[><;\[ ]", text)[0]) for text in groups[name]}
+        found = {normal(one) for module in modules for one in installed_by.get(module, [module])}
+        assert found == asked, name
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
 def no_egl() -> Any:
     raise RendererError("there is no OpenGL")
 
@@ -77,3 +96,23 @@ def test_the_command(tmp_path: Path) -> None:
         [*line, "--json"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert {one["what"] for one in json.loads(told.stdout)} >= {"versions", "DDS", "disk"}
+
+
+@pytest.mark.slow
+def test_the_command_without_egl_and_embree(tmp_path: Path) -> None:
+    """As where neither is installed: each is named with what to do, and it ends well."""
+    code = (
+        "import sys\nfor name in ('embreex', 'glcontext'): sys.modules[name] = None\n"
+        "sys.argv = ['insonify', 'doctor', '--json']\n"
+        "from insonify.cli import main\nmain()\n"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    found = {one["what"]: one for one in json.loads(told.stdout)}
+    assert "insonify[simulation]" in found["Embree"]["remedy"]
+    assert (
+        "there is no OpenGL" in found["OpenGL"]["fault"] and "libegl1" in found["OpenGL"]["fault"]
+    )
+    assert "simulation" in found["extras"]["fault"]
+    assert not found["kernels"]["fault"] and not found["disk"]["fault"]

@@ -38,6 +38,23 @@ for module in pkgutil.walk_packages(insonify.__path__, "insonify."):
 for step in STEPS:
     warm_up_step(step)
 print(*(kernel.__name__ for kernel in KERNELS if not kernel.signatures))
+signatures = {kernel.__name__: len(kernel.signatures) for kernel in KERNELS}
+import numpy as np
+from pathlib import Path
+from insonify.io.recordings import open_recording
+from insonify.io.recordings.arrays import save_arrays
+from insonify.mapping.factory import MAPPERS, make_mapper
+from insonify.mapping.mapper import MappingSettings
+from insonify.mission.remap import map_recordings
+from insonify.types import FanGeometry, Ping, Pose, PosedPing
+fan = FanGeometry(0.5, 0.2, 4, 16, 0.0, 2.0)
+ping = Ping(np.ones((16, 4), np.float32), fan)
+save_arrays(Path("dive.npz"), [PosedPing(ping, Pose(0.0, 0.0, -3.0))])
+for name in MAPPERS:
+    settings = MappingSettings()
+    mapper = make_mapper(name, settings)
+    map_recordings([open_recording(Path("dive.npz"))], settings, mapper=mapper)
+print(*(k.__name__ for k in KERNELS if len(k.signatures) > signatures[k.__name__]))
 """
 
 _CONSTANTS = """
@@ -134,9 +151,11 @@ def _whence(path: Path, name: str) -> str:
 
 
 def test_warm_up_leaves_nothing_to_compile(tmp_path: Path) -> None:
+    """No kernel, and of those that map a recording no version."""
     done = subprocess.run(
         [sys.executable, "-c", _UNCOMPILED],
         env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+        cwd=tmp_path,
         capture_output=True,
         text=True,
         check=True,

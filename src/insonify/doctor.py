@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import platform
 import shutil
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from insonify import __version__, memory
 from insonify.errors import ConfigError, InsonifyError, reason
+from insonify.io.heartbeat import heartbeats
 
 LEAST_FREE_BYTES = 1 << 30
 EXTRAS = {
@@ -25,9 +27,15 @@ EXTRAS = {
     "simulation": ("embreex", "manifold3d", "collada"),
     "live": ("cyclonedds", "foxglove"),
     "view": ("viser",),
-    "opengl": ("moderngl",),
     "maps": ("tifffile", "zarr"),
-    "mavlink": ("pymavlink",),
+    "mavlink": ("pymavlink", "serial"),
+    "waterlinked": ("wlsonar",),
+    "opengl": ("moderngl",),
+    "campaigns": ("duckdb", "pandas", "pyarrow"),
+    "cluster": ("distributed",),
+    "datasets": ("xarray", "zarr"),
+    "gymnasium": ("gymnasium",),
+    "rerun": ("rerun",),
 }
 """Groups of libraries that can be left out, by what is imported."""
 _MOST_DOMAIN = 232
@@ -63,6 +71,28 @@ def examine(folder: Path) -> Iterator[Finding]:
         yield look()
     yield _memory()
     yield _disk(folder)
+
+
+def examine_session(folder: Path) -> Finding:
+    """Whether `insonify live` runs and maps, by its heartbeat on the disk.
+
+    Args:
+        folder: The session's ``--out``, or one that it lies in, as the folder where it was started.
+    """
+    found = heartbeats(folder)
+    fresh = [one for one in found if one[1].fresh]
+    if not fresh:
+        told = "no session"
+        if found:
+            told = f"the last sign of one is {time.monotonic() - found[0][1].at_s:.0f} s old"
+        return Finding(
+            "live", told, f"none runs that writes to {folder}", "see what it said, and start it"
+        )
+    path, beat = fresh[0]
+    told = f"{beat.pings} pings came, {beat.mapped} are mapped; {path.parent}"
+    if not beat.well:
+        return Finding("live", told, beat.words, "see that the sonar and the poses are sent")
+    return Finding("live", told)
 
 
 def domain_of(text: str) -> int:

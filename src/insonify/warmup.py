@@ -53,6 +53,26 @@ def _simulating() -> None:
             pass
 
 
+def _mapping() -> None:
+    """Pings of recordings and of the bus, whose pixels may lie in memory that is only read."""
+    import numpy as np
+
+    from insonify.mapping.factory import MAPPERS, make_mapper
+    from insonify.mapping.mapper import MappingSettings
+    from insonify.types import FanGeometry, Ping, Pose
+
+    image = np.zeros((16, 4), np.float32)
+    image[8] = 1.0
+    fixed = image.copy()
+    fixed.setflags(write=False)
+    fan = FanGeometry(0.5, 0.2, 4, 16, 0.0, 2.0)
+    for name in MAPPERS:
+        mapper = make_mapper(name, MappingSettings(voxel_m=0.25))
+        for pixels in (image, fixed):
+            mapper.integrate(Ping(pixels, fan), Pose(0.0, 0.0, 0.0))
+        mapper.finish_scan()
+
+
 def _exporting() -> None:
     from insonify.io.maps import load_map, save_map
     from insonify.mapping.voxels import VoxelMap
@@ -72,6 +92,7 @@ STEPS: dict[str, Callable[[], None]] = {
     "scanning": _scanning,
     "flying": _flying,
     "simulating": _simulating,
+    "mapping": _mapping,
     "exporting": _exporting,
 }
 """Jobs by name, in the order in which they are best done."""

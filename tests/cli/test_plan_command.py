@@ -11,8 +11,10 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
+from benchmarks.autopilot import autopilot
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -131,7 +133,12 @@ def test_a_plan_of_its_own_name_and_one_that_nobody_takes(tmp_path: Path) -> Non
     assert refused.returncode == 2 and "--datum" in refused.stderr
     done = _plan("--out", "next.plan", "--datum", "41.5 -71.3", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    mission = json.loads((tmp_path / "next.plan").read_text())["mission"]
+    schema = json.loads(
+        (Path(__file__).parents[1] / "io/qgroundcontrol_plan.schema.json").read_text()
+    )
+    plan = json.loads((tmp_path / "next.plan").read_text())
+    jsonschema.validate(plan, schema)
+    mission = plan["mission"]
     assert [item["command"] for item in mission["items"]][:2] == [178, 16]
     assert json.loads(done.stdout)["files"] == ["next.plan"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
@@ -139,3 +146,19 @@ def test_a_plan_of_its_own_name_and_one_that_nobody_takes(tmp_path: Path) -> Non
         address = f"udp:127.0.0.1:{taken.getsockname()[1]}"
         lost = _plan("--datum", "41.5 -71.3", "--upload", address, cwd=tmp_path)
     assert lost.returncode == 2 and "Traceback" not in lost.stderr and address in lost.stderr
+
+
+def test_an_autopilot_is_given_the_plan_and_none_that_comes_too_near(tmp_path: Path) -> None:
+    pytest.importorskip("pymavlink")
+    _walled(tmp_path, width_m=6.0)
+    with autopilot() as pilot:
+        words = ["--datum", "41.5 -71.3", "--upload", f"udp:127.0.0.1:{pilot.port}"]
+        near = _plan(*words, "--clearance", "20", "--out", "near", cwd=tmp_path)
+        assert near.returncode == 2 and "20 m is the least" in near.stderr
+        assert not pilot.counts and not (tmp_path / "near").exists()
+        done = _plan(*words, "--out", "p", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["uploaded_to"].endswith("system 7")
+    items = json.loads((tmp_path / "p/path.plan").read_text())["mission"]["items"]
+    assert set(pilot.counts) == {len(items) + 1} and len(pilot.items) == len(items) + 1  # home too
+    assert [one.command for one in pilot.items[1:]] == [item["command"] for item in items]

@@ -263,7 +263,7 @@ def test_answers_and_health(rng: np.random.Generator, monkeypatch: pytest.Monkey
         posed = PosedPing(Ping(image, fan, float(k)), far.moved((0.0, 0.1 * k, 0.0)))
         map_ping(remap, posed, "test")
         publisher.watch(session, Heard(posed, 10**9 * k))
-    for word in ("entropy", "path", "path", "nonsense"):
+    for word in ("map", "entropy", "path", "path", "nonsense"):
         assert publisher.hears(Asked(word))  # type: ignore[arg-type]
         publisher.watch(session, Tick())
     publisher.watch(session, Finished())
@@ -291,7 +291,9 @@ def test_answers_and_health(rng: np.random.Generator, monkeypatch: pytest.Monkey
     again = [message for topic, message in sent if topic == PATH]
     assert again == [first, first], "nothing has come since"
     pilot.clearance_m = 50.0
+    publisher._map_due_s, publisher.listens = 0.0, lambda topic: topic != MAP
     publisher.watch(session, Heard(posed, 10**10))
+    assert len([topic for topic, _ in sent if topic == MAP]) == len(by_topic[MAP])
     publisher.hears(Asked("path"))  # type: ignore[arg-type]
     publisher.watch(session, Finished())
     refused = [message for topic, message in sent if topic == PATH][-1]
@@ -315,9 +317,10 @@ def done(process: subprocess.Popen[str], code: int = 0) -> str:
 def test_a_mission_in_two_processes(domain: int, tmp_path: Path) -> None:
     """The robot flies where `live` says, until it says that no scan pays; one map for both."""
     plan = ["--plan", "--region", AREA, "--waypoints", "8", "--set", "entropy.max_scans=2"]
-    live = start("live", *SMALL, *plan, "--out", "L", "--json", cwd=tmp_path)
     words = ["scan", "tetrapod", "--live-bus", *SMALL, "--set", "survey.waypoints=8"]
-    done(start(*words, "--out", "R", cwd=tmp_path))
+    robot = start(*words, "--out", "R", cwd=tmp_path)  # waits for the other longer than that for it
+    live = start("live", *SMALL, *plan, "--out", "L", "--json", cwd=tmp_path)
+    done(robot)
     live.send_signal(signal.SIGTERM)
     account = json.loads(done(live))
     robots = (tmp_path / "R/map.npz").read_bytes()
@@ -338,10 +341,11 @@ def test_a_tour_on_the_bus(domain: int, tmp_path: Path) -> None:
         '[[sonars]]\nname = "fls"\nrate_hz = 4\nsonar = "park-2025"\n', encoding="utf-8"
     )
     plan = ["--plan", "--region", "90 90 -19 95 95 -17"]
-    live = start("live", *SMALL, *plan, "--out", "L", cwd=tmp_path)
     way = ["--waypoints", "-6 0 -15 0; -5.5 0 -15 0", "--navigation", "truth"]
     fly = ["fly", "tetrapod", "--sonars", "one.toml", *way, "--live", "--out", "F", "--json"]
-    result = json.loads(done(start(*fly, cwd=tmp_path)))
+    robot = start(*fly, cwd=tmp_path)
+    live = start("live", *SMALL, *plan, "--out", "L", cwd=tmp_path)
+    result = json.loads(done(robot))
     live.send_signal(signal.SIGTERM)
     done(live)
     assert result["stop_reason"] == "not_worth_it" and result["pings"]["fls"] > 3
@@ -358,8 +362,9 @@ def test_a_bag_of_another_program_over_the_bus(
     """Odometry between pings: what `play` sends is mapped as `map` maps the bag."""
     plain_bag(tmp_path / "bag", "mcap", rng, 6)
     voxel = ["--voxel", "0.1"]
+    player = start("play", "bag/bag.mcap", "--rate", "5", cwd=tmp_path)
     live = start("live", *voxel, "--idle", "5", "--out", "L", cwd=tmp_path)
-    done(start("play", "bag/bag.mcap", "--rate", "5", cwd=tmp_path))
+    done(player)
     done(live)
     done(start("map", "bag/bag.mcap", *voxel, "--out", "M", cwd=tmp_path))
     assert (tmp_path / "L/map.npz").read_bytes() == (tmp_path / "M/map.npz").read_bytes()

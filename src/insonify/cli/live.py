@@ -227,6 +227,8 @@ def _live_on_bus(
         progress("listening") as bar,
     ):
         tell(f"insonify: listening in DDS domain {bus.domain}; Ctrl-C ends it", flush=True)
+        if not publisher.send:
+            publisher.listens = lambda topic: bus.listeners(topic) > 0
         publisher.send.append(bus.publish)
         for topic, kind in ANSWERS.items():
             bus.writer(topic, kind)

@@ -47,7 +47,8 @@ PREFIX = "rt"
 LARGE_DEPTH, SMALL_DEPTH = 64, 1000
 """Messages of pings, and of anything else, that wait until they are taken; then the oldest go."""
 _TAKEN = 8
-"""Messages of a topic that are taken at once."""
+"""Pings of a topic that are taken at once.  All else that has come is, so that when pings queue up
+their poses and states, which are more and take no time, do not fall behind them."""
 _WAIT_S = 0.1
 _FOUND, _MOST_FOUND = "", 10_000
 """The name of what is found on the bus, which no topic has, and how much of it waits."""
@@ -214,16 +215,18 @@ class Bus:
             offered = (offered[0] and asked[0], offered[1] and asked[1])
             if offered == asked:
                 return
-        large = sonar_shape(kind, fields_of(kind)) is not None
+        depth = LARGE_DEPTH if _is_large(kind) else SMALL_DEPTH
         quality = _quality(reliable=offered[0], latched=offered[1], depth=0)
         reader = DataReader(self._participant, self._topic(topic, kind), qos=quality)
         self._heard[topic] = kind, offered
-        self._inbox.read(topic, reader, LARGE_DEPTH if large else SMALL_DEPTH)
+        self._inbox.read(topic, reader, depth)
 
     def _take(self) -> list[BusMessage]:
         came: list[BusMessage] = []
         for topic, (kind, _) in self._heard.items():
-            for sample, now_ns in self._inbox.take(topic, _TAKEN):
+            for sample, now_ns in self._inbox.take(
+                topic, _TAKEN if _is_large(kind) else SMALL_DEPTH
+            ):
                 sent_ns = int(sample.sample_info.source_timestamp)
                 decode = _decoder(sample.cdr, kind)
                 came.append(BusMessage(topic, kind, now_ns, decode, sent_ns=sent_ns))
@@ -232,6 +235,11 @@ class Bus:
 
 def _decoder(cdr: bytes, kind: str) -> Callable[[], Any]:
     return lambda: message_types().deserialize_cdr(cdr, kind)
+
+
+def _is_large(kind: str) -> bool:
+    """Whether messages of a type are pings."""
+    return sonar_shape(kind, fields_of(kind)) is not None
 
 
 def _kind(name: str) -> str:

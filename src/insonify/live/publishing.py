@@ -19,6 +19,7 @@ import numpy as np
 from insonify.errors import InsonifyError
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.bags import DAMAGE, BagMessage
+from insonify.live.health import OK, WARN, Health
 from insonify.live.planning import Answer, Desk, Pilot
 from insonify.live.session import Event, Finished, Heard, Planned, Session
 from insonify.mapping.voxels import Blocks, VoxelMap, Voxels, probability_from_log_odds
@@ -36,7 +37,6 @@ ANSWERS = {
 REQUESTS = ("map", "entropy", "path")
 _MOST_SHARE = 0.05
 """Of the time, for sending the map; pings wait for it."""
-_OK, _WARN, _STALE = 0, 1, 3
 
 Send = Callable[[str, Any], None]
 """Sends a message on a topic."""
@@ -55,6 +55,7 @@ class Publisher:
         desk: Where paths are planned; those that a recording asks for at once.
         plans_at_end: Whether to plan the next scan when all is heard too.
         words: What was last decided, for people.
+        listens: Whether anybody listens to a topic; a map for nobody is not made.
     """
 
     send: list[Send]
@@ -64,12 +65,14 @@ class Publisher:
     desk: Desk = field(default_factory=Desk)
     plans_at_end: bool = False
     words: str = ""
+    listens: Callable[[str], bool] = lambda topic: True
     _pose: Pose | None = None
     _stamp_ns: int = 0
     _answered: tuple[int, Any] | None = None
-    _due_s: float = 0.0
+    _map_due_s: float = 0.0
+    _health_due_s: float = 0.0
     _shown_ns: int = -1
-    _heard_s: float = field(default_factory=time.monotonic)
+    _fares: Health = field(default_factory=Health)
     _asked: list[str] = field(default_factory=list)
     _held: bool = False
     _missed: tuple[int, int] = (0, 0)
@@ -91,8 +94,8 @@ class Publisher:
 
     def watch(self, session: Session, event: Event) -> None:
         """Send what is due."""
+        self._fares.watch(session, event)
         if isinstance(event, Heard):
-            self._heard_s = time.monotonic()
             self._stamp_ns = event.stamp_ns
             self._follow(session, event)
         if isinstance(event, Planned):
@@ -103,13 +106,15 @@ class Publisher:
             self.plan(session)
         if not self.send:
             return
-        if isinstance(event, Finished) or time.monotonic() > self._due_s:
-            begun_s = time.monotonic()
-            if self._shown_ns != self._stamp_ns:
+        ended, now_s = isinstance(event, Finished), time.monotonic()
+        if ended or now_s > self._map_due_s:
+            if self._shown_ns != self._stamp_ns and self.listens(MAP):
                 self._map(session)
-            took_s = time.monotonic() - begun_s
-            self._due_s = begun_s + max(self.every_s, took_s / _MOST_SHARE)
-            self._health(session, ended=isinstance(event, Finished))
+            took_s = time.monotonic() - now_s
+            self._map_due_s = now_s + max(self.every_s, took_s / _MOST_SHARE)
+        if ended or now_s > self._health_due_s:
+            self._health_due_s = now_s + self.every_s
+            self._health(session)
 
     def plan(self, session: Session) -> None:
         """Plan the next scan's path, which is sent when it is planned; the same if nothing came."""
@@ -195,27 +200,23 @@ class Publisher:
         names = ("x", "y", "z", "entropy")
         self._say(ENTROPY, messages.point_cloud(points, names, self._stamp_ns, session.poser.world))
 
-    def _health(self, session: Session, *, ended: bool) -> None:
+    def _health(self, session: Session) -> None:
         told = session.counts.to_json() | {
             "waiting": session.poser.waiting,
             "poses from": session.poser.source,
             "blocks": session.remap.mapper.voxels.block_count,
             "planning": self.desk.busy,
         }
-        silent_s = time.monotonic() - self._heard_s
-        level, words = _OK, self.words or "mapping"
-        before, self._missed = self._missed, (session.counts.lost, session.counts.overwritten)
-        if ended:
-            level, words = _STALE, "ended"
-        elif silent_s > 5.0:
-            level, words = _WARN, f"no ping for {silent_s:.0f} s"
-        elif self._missed != before:
-            words = "since the last time, the bus lost {} messages and {} were overwritten".format(
-                *np.subtract(self._missed, before)
-            )
-            level = _WARN
-        elif session.counts.refused or session.counts.unposed > session.counts.mapped:
-            level, words = _WARN, session.counts.last_damage or "most pings have no pose"
+        level, words = self._fares.state(session)
+        missed = session.counts.lost, session.counts.overwritten
+        lost, overwritten = np.subtract(missed, self._missed)
+        self._missed = missed
+        if level == OK and (lost or overwritten):
+            level = WARN
+            words = f"since the last time, the bus lost {lost} messages and {overwritten} were "
+            words += "overwritten"
+        elif level == OK:
+            words = self.words or "mapping"
         values = [
             messages.new("diagnostic_msgs/KeyValue", key=key, value=str(value))
             for key, value in told.items()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from insonify.io.folders import ResultFolder, result_folder
+from insonify.live.health import Pulse
 from insonify.live.keeping import Keeper, kept_bytes, remember, take_over
 from insonify.live.leaving import save_session
 from insonify.live.played import Source
@@ -76,7 +77,7 @@ def run_session(
         remap = Remap(config.mapping, mapper_for(config, place.scratch, order.memory_bytes))
         check_voxels(remap.mapper, config.mapping)
         keeper = _keeper(place, remap)
-        session = Session(poser, remap, [keeper.watch, *watchers])
+        session = Session(poser, remap, [keeper.watch, Pulse(place.scratch).watch, *watchers])
         try:
             follow(session, source, should_stop)
             if not keeper.parts:
@@ -103,7 +104,10 @@ def load_kernels(config: MapConfig) -> None:
     fan = FanGeometry(0.5, 0.2, 4, 16, 0.0, reach_m)
     image = np.zeros((16, 4), np.float32)
     image[8] = 1.0
-    mapper.integrate(Ping(image, fan), Pose(0.0, 0.0, 0.0))
+    fixed = image.copy()
+    fixed.setflags(write=False)  # as pixels of the bus may be
+    for pixels in (image, fixed):
+        mapper.integrate(Ping(pixels, fan), Pose(0.0, 0.0, 0.0))
     (mapper.voxels.log_odds > 0.0).any()
 
 
