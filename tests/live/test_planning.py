@@ -21,10 +21,12 @@ from insonify.io.maps import load_map, ondisk, save_map
 from insonify.io.recordings.recording import Reading
 from insonify.io.recordings.ros import messages
 from insonify.io.recordings.ros.mcap_writing import McapWriter
+from insonify.live import health
 from insonify.live.counts import Counts
+from insonify.live.health import Pulse
 from insonify.live.planning import Answer, Desk, Pilot, Question
 from insonify.live.poser import Poser
-from insonify.live.publishing import PATH, REQUEST, Publisher
+from insonify.live.publishing import DIAGNOSTICS, PATH, REQUEST, Publisher
 from insonify.live.session import Finished, Heard, Session, Tick
 from insonify.mapping.bayes import BayesMapper
 from insonify.mapping.factory import make_mapper
@@ -273,6 +275,26 @@ def test_pings_are_mapped_while_a_path_is_planned(monkeypatch: pytest.MonkeyPatc
     alone.map(1)
     alone.ask()
     assert alone.sent == pings.sent[:1], "at once and beside the mapping it is the same"
+
+
+def test_a_plan_at_the_end_leaves_the_session_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its answer is an event after the last: no heartbeat, and health stays what it is."""
+    monkeypatch.setattr(health, "BEAT_S", 0.0)
+    said: list[Any] = []
+    chosen = EntropySettings(termination=0.0, min_samples=2)
+    publisher = Publisher([], Pilot(None, chosen, 5, 0.2), plans_at_end=True)
+    pings = Pings(publisher)
+    pings.session.watchers.insert(0, Pulse(tmp_path).watch)
+    publisher.send.append(lambda topic, message: said.append((topic, message)))
+    pings.map(1)
+    pings.ask()
+    assert list(tmp_path.iterdir())
+    pings.session.tell(Finished())
+    assert pings.sent and not list(tmp_path.iterdir())
+    told = [message.status[0].message for topic, message in said if topic == DIAGNOSTICS]
+    assert told[-1] == "ended"
 
 
 def test_what_goes_wrong_with_a_plan_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:

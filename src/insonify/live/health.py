@@ -30,7 +30,7 @@ class Health:
     _began_s: float | None = None
     _now_s: float = 0.0
     _recent: deque[tuple[float, bool]] = field(default_factory=lambda: deque(maxlen=_MOST))
-    _ended: bool = False
+    ended: bool = False
 
     def watch(self, session: Session, event: Event) -> None:
         """Note a ping, and whether it is in the map."""
@@ -39,11 +39,11 @@ class Health:
             self._began_s = self._now_s
         if isinstance(event, Heard):
             self._recent.append((self._now_s, event.posed.pose is not None))
-        self._ended = isinstance(event, Finished)
+        self.ended |= isinstance(event, Finished)  # a plan that ends later does not undo it
 
     def state(self, session: Session) -> tuple[int, str]:
         """The level, and what is wrong; no words if nothing is."""
-        if self._ended:
+        if self.ended:
             return STALE, "ended"
         now_s = self._now_s
         began_s = now_s if self._began_s is None else self._began_s
@@ -70,7 +70,7 @@ class Pulse:
         self._health.watch(session, event)
         if isinstance(event, Finished):
             remove_heartbeat(self._folder)
-        elif time.monotonic() >= self._due_s:
+        elif not self._health.ended and time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + BEAT_S
             level, words = self._health.state(session)
             counts = session.counts
