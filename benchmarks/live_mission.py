@@ -96,7 +96,9 @@ def flown(name: str, robot: list[str], options: argparse.Namespace, home: Path) 
         "ended": str(result["stop_reason"]),
         "paths sent": str(paths),
         "pings sent, mapped": f"{counts['pings']}, {counts['mapped']}",
-        "lost, without a pose": f"{counts['lost']}, {counts['unposed']}",
+        "lost, overwritten, no pose": ", ".join(
+            str(counts[name]) for name in ("lost", "overwritten", "unposed")
+        ),
         "F1 of live": f"{f1[0]:.6f}",
         "F1 of map, of its recordings": f"{f1[1]:.6f}",
         "F1 of the robot's own pings": f"{f1[2]:.6f}",

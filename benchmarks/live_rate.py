@@ -247,7 +247,10 @@ def main() -> None:
     print(f"published          {last.published} pings of {options.bins} x {options.beams}")
     rate = (busy[-1].mapped - busy[0].mapped) / wall_s
     print(f"mapped             {counts['mapped']}, {rate:.2f} a second")
-    late = ("unposed", "duplicates", "out_of_order", "damaged", "refused", "late_poses", "lost")
+    late = (
+        "unposed", "duplicates", "out_of_order", "damaged", "refused", "late_poses", "lost",
+        "overwritten",
+    )  # fmt: skip
     print(f"not mapped         {last.published - counts['mapped']}")
     print(f"                   {', '.join(f'{name} {counts[name]}' for name in late)}")
     print(f"behind             at most {max(one.behind for one in playing)} pings")
