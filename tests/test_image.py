@@ -15,7 +15,9 @@ import typer
 from benchmarks.image import ROOT, Instruction, context, instructions
 
 from insonify.cli import app
+from insonify.cli.live import VIEW_PORT
 from insonify.io.heartbeat import Heartbeat, write_heartbeat
+from insonify.live.foxglove import PORT
 
 LINES = instructions(ROOT / "Dockerfile")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -93,12 +95,8 @@ def test_its_commands_are_commands() -> None:
 
 
 def test_its_ports_are_those_of_the_view_and_of_foxglove() -> None:
-    own = {
-        str(param.default)
-        for name in ("view", "live")
-        for param in COMMANDS.commands[name].params
-        if param.name == "port"
-    }
+    (view,) = (param.default for param in COMMANDS.commands["view"].params if param.name == "port")
+    own = {str(view), str(VIEW_PORT), str(PORT)}
     assert set(the("EXPOSE").words) == own
 
 
