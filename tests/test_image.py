@@ -1,23 +1,74 @@
-"""The Dockerfile holds to the project; `python -m benchmarks.image` runs its lines."""
+"""The Dockerfile holds to the project."""
 
 from __future__ import annotations
 
+import fnmatch
+import json
 import re
+import shlex
 import subprocess
 import sys
 import time
 import tomllib
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
-from benchmarks.image import ROOT, Instruction, context, instructions
 
 from insonify.cli import app
 from insonify.cli.live import VIEW_PORT
 from insonify.io.heartbeat import Heartbeat, write_heartbeat
 from insonify.live.foxglove import PORT
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """A line of a Dockerfile: its word, its options, and the rest."""
+
+    word: str
+    rest: str
+    options: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def words(self) -> list[str]:
+        """The rest as words; those of the JSON form are as they are."""
+        if self.rest.startswith("["):
+            return [str(one) for one in json.loads(self.rest)]
+        return shlex.split(self.rest)
+
+
+def instructions(path: Path) -> list[Instruction]:
+    """The instructions of a Dockerfile."""
+    lines = [one for one in path.read_text("utf-8").splitlines() if not one.startswith("#")]
+    text = re.sub(r"\\\n", " ", "\n".join(lines))
+    found = []
+    for line in filter(None, map(str.strip, text.splitlines())):
+        word, _, rest = line.partition(" ")
+        options = {}
+        while match := re.match(r"\s*--([a-z-]+)=(\S+)\s+", rest):
+            options[match[1]] = match[2]
+            rest = rest[match.end() :]
+        found.append(Instruction(word, rest.strip(), options))
+    return found
+
+
+def context(ignore: Path) -> list[str]:
+    """Names at the top of the context that are not ignored (``*`` and then ``!NAME``)."""
+    rules = [one for one in ignore.read_text("utf-8").splitlines() if one[:1] not in ("", "#")]
+    found = []
+    for path in sorted(ignore.parent.iterdir()):
+        kept = True
+        for rule in rules:
+            if fnmatch.fnmatch(path.name, rule.lstrip("!")):
+                kept = rule.startswith("!")
+        if kept:
+            found.append(path.name)
+    return found
+
 
 LINES = instructions(ROOT / "Dockerfile")
 PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
