@@ -141,6 +141,49 @@ def test_the_same_command_goes_on_after_kills(folder: Path) -> None:
     assert [path.name for path in folder.iterdir() if path.name.startswith(".")] == []
 
 
+COUNTS = """
+import numpy as np
+from insonify import BayesMapper
+
+class Counts(BayesMapper):
+    name = "counts"
+    heard = ended = 0
+
+    def integrate(self, ping, pose):
+        self.heard += 1
+        super().integrate(ping, pose)
+
+    def finish_scan(self):
+        self.ended += 100 + self.heard
+        held = self.voxels.hold(np.array([[0, 0, -3]], np.int32))
+        held.log_odds[held.slots, 0] += 0.001 * self.heard + 0.1
+
+    def save(self):
+        return {"counts": np.array([self.heard, self.ended])}
+
+    def load(self, arrays):
+        self.heard, self.ended = arrays["counts"].tolist()
+"""
+
+
+@pytest.mark.parametrize("dies_at", [40, 60])
+def test_a_mapper_of_ones_own_goes_on_with_what_it_keeps(folder: Path, dies_at: int) -> None:
+    (folder / "own.py").write_text(COUNTS)
+    (folder / "dies.py").write_text(DIES)
+    command = ["map", "r.npz", "r.npz", "--mapper", "own.py:Counts"]
+    _do(*command, "--out", "memory")
+    command += ["--out", "disk", *MEMORY]
+    words = [sys.executable, "dies.py", str(dies_at), *command]
+    died = subprocess.run(words, cwd=folder, capture_output=True, check=False)
+    assert died.returncode == -signal.SIGKILL, died.stderr
+    done = CliRunner().invoke(app, command, catch_exceptions=False)
+    assert f"going on after {dies_at} pings" in done.stderr
+    _do("export", "disk", "disk.npz")
+    assert (folder / "disk.npz").read_bytes() == (folder / "memory" / "map.npz").read_bytes()
+    ours, theirs = (np.load(folder / name / "mapper.npz") for name in ("memory", "disk"))
+    assert ours["state_counts"].tolist() == theirs["state_counts"].tolist() == [80, 320]
+
+
 def test_a_size_is_read_as_people_write_it() -> None:
     for text, size in {"500MB": 500e6, "2 GB": 2e9, "64MiB": 64 * 2**20, "1.5G": 1.5e9}.items():
         assert memory_limit(text) == size

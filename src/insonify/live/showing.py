@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 from insonify.live.session import Event, Finished, Heard, Planned, Session, Tick
-from insonify.types import Box, PosedPing
+from insonify.mission.remap import moved
+from insonify.types import Box
 from insonify.view.page import Page
 from insonify.view.story import MOST_MOMENTS, Story
 
@@ -39,7 +39,8 @@ class Narrator:
             if len(self.story.moments) >= MOST_MOMENTS:
                 self.story = self.story.halved()
                 self._page.show(self.story)
-            self.story.add_ping(_in_map(event.posed, session), self._scan)
+            origin_m = session.remap.mapper.voxels.origin_m
+            self.story.add_ping(moved(event.posed, origin_m), self._scan)
             self._behind = True
             if self._is_due():
                 self._add_map(session)
@@ -76,16 +77,3 @@ class Narrator:
         self.story.add_map(voxels, shown or voxels.around_occupied())
         took_s = time.monotonic() - begun_s
         self._due_s = begun_s + max(_EVERY_S, took_s / _MOST_SHARE)
-
-
-def _in_map(posed: PosedPing, session: Session) -> PosedPing:
-    """A ping with its poses in the map's own frame."""
-    origin_m = session.remap.mapper.voxels.origin_m
-    if posed.pose is None or not any(origin_m):
-        return posed
-    true = posed.true_pose
-    return replace(
-        posed,
-        pose=posed.pose.relative_to(origin_m),
-        true_pose=None if true is None else true.relative_to(origin_m),
-    )

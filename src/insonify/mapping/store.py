@@ -1,4 +1,4 @@
-"""Where a map's blocks are kept: in memory here, on disk in `insonify.io.maps.tiles`."""
+"""Where a map's blocks are kept: in memory here, on disk in `insonify.io.maps.ondisk`."""
 
 from __future__ import annotations
 

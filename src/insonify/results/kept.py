@@ -16,6 +16,7 @@ from insonify.types import Array, FanGeometry, Float32, Float64, Ping, Pose
 
 _LEAST_S, _SHARE = 20.0, 0.02
 """Between two flushes; what of the time they may take at most."""
+_STATE = "state_"
 
 
 class KeptMapper:
@@ -28,7 +29,7 @@ class KeptMapper:
         """Go on with what a store held at its last flush, if there was one.
 
         Args:
-            mapper: Keeps nothing but its map.
+            mapper: With nothing mapped.
             store: The map's.
         """
         self.name, self._mapper, self._store = mapper.name, mapper, store
@@ -38,6 +39,13 @@ class KeptMapper:
             x, y, z = arrays["origin_m"].tolist()
             mapper.voxels.origin_m = x, y, z
             self._had = int(arrays["pings"])
+            state = {
+                name.removeprefix(_STATE): array
+                for name, array in arrays.items()
+                if name.startswith(_STATE)
+            }
+            if state:
+                mapper.load(state)
         self._pings = 0
         self._flushed_s, self._wait_s = time.monotonic(), _LEAST_S
 
@@ -58,14 +66,16 @@ class KeptMapper:
         self._mapper.integrate(ping, pose)
         begun_s = time.monotonic()
         if begun_s - self._flushed_s > self._wait_s:
+            state = {f"{_STATE}{name}": array for name, array in self._mapper.save().items()}
             origin_m = np.array(self.voxels.origin_m)
-            self._store.keep(pings=np.array(self._pings), origin_m=origin_m)
+            self._store.keep(pings=np.array(self._pings), origin_m=origin_m, **state)
             self._flushed_s = time.monotonic()
             self._wait_s = max(_LEAST_S, (self._flushed_s - begun_s) / _SHARE)
 
     def finish_scan(self) -> None:
-        """As the mapper does."""
-        self._mapper.finish_scan()
+        """As the mapper does, but for scans that were over at the last flush."""
+        if self._pings >= self._had:  # it is flushed with a ping, before its scan is finished
+            self._mapper.finish_scan()
 
     def tells(self, poses: Sequence[Pose], geometry: FanGeometry, voxels_m: Float64) -> Float32:
         """As the mapper does."""
