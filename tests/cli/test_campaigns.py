@@ -163,7 +163,7 @@ def test_a_run_that_kills_every_worker_of_a_cluster_fails_alone(tmp_path: Path) 
     (tmp_path / "c.toml").write_text(own)
     done = _on_a_cluster("o", cwd=tmp_path, FICKLE="killed")
     assert done.returncode == 1, done.stderr
-    assert "1 of 3 runs failed: the workers that flew it died" in done.stderr
+    assert "1 of 3 runs failed: the workers that had it died" in done.stderr
     assert len(list((tmp_path / "o/parts").iterdir())) == 2
 
 
