@@ -15,14 +15,19 @@ import insonify.results.scan
 from insonify.config.toml import config_to_toml
 from insonify.errors import InsonifyError, OutputError, ResultError
 from insonify.io.decisions import load_decisions
+from insonify.io.recordings.recording import Recording
+from insonify.mapping.factory import make_mapper
+from insonify.mapping.mapper import MappingSettings
+from insonify.mission.explanation import differing
+from insonify.mission.remap import map_recordings
 from insonify.mission.result import MapResult, ScanResult, TourResult
 from insonify.mission.run import Run, execute
 from insonify.mission.setup import scenario_config
 from insonify.report.html import write_report
 from insonify.results.files import load_result
-from insonify.results.map import load_mapper
+from insonify.results.map import MapConfig, load_mapper, save_remap
 from insonify.results.scan import is_scan, load_run, run_scan, save_scan
-from insonify.types import StopReason
+from insonify.types import FanGeometry, Ping, Pose, PosedPing, StopReason
 
 pytestmark = pytest.mark.slow
 
@@ -227,6 +232,29 @@ def test_a_map_of_another_mapper_than_its_config_names_is_refused(
     (folder / "result.json").write_text(text.replace('"mapper": "bayes"', '"mapper": "carver"'))
     with pytest.raises(ResultError, match="names mapper 'bayes', and the map was made by 'carver'"):
         load_mapper(folder)
+
+
+@pytest.mark.parametrize("name", ["bayes", "carving"])
+def test_the_voxels_of_a_mapper_that_goes_on_follow_later_pings(
+    name: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    fan, settings = FanGeometry(0.7, 0.2, 8, 16, 0.2, 2.0), MappingSettings(voxel_m=0.1)
+    images = (rng.random((8, 16, 8)) > 0.9).astype(np.float32)
+    pings = [
+        PosedPing(Ping(image, fan), Pose(2e4 + 0.2 * k, 0.0, -2.0))
+        for k, image in enumerate(images)
+    ]
+    recording = Recording(Path("made"), "made", 5, True, {}, lambda: iter(pings[:5]))
+    remap = map_recordings([recording], settings, mapper=make_mapper(name, settings))
+    save_remap(remap, tmp_path, MapConfig(mapper=name, mapping=settings))
+    again = load_mapper(tmp_path)
+    assert again.voxels.origin_m == remap.mapper.voxels.origin_m != (0.0, 0.0, 0.0)
+    for posed in pings[5:]:
+        assert posed.pose is not None
+        for mapper in (remap.mapper, again):
+            mapper.integrate(posed.ping, posed.pose.relative_to(again.voxels.origin_m))
+    assert differing(again.voxels, remap.mapper.voxels) == 0
+    assert again.voxels.block_count == remap.mapper.voxels.block_count
 
 
 def test_a_scan_that_a_mappers_fault_keeps_from_being_saved_is_not_lost(

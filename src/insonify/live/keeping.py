@@ -35,6 +35,7 @@ from insonify.mapping.mapper import Mapper
 from insonify.mapping.voxels import VoxelMap
 from insonify.mission.remap import Remap, map_ping
 from insonify.results.map import MAP
+from insonify.results.mappers import give_back
 from insonify.results.replay import posed_messages
 from insonify.types import FanGeometry, Pose, PosedPing
 
@@ -252,20 +253,16 @@ def _load(remap: Remap, path: Path) -> dict[str, int]:
     mapper: Mapper = remap.mapper
     if told["mapper"] != mapper.name or told["settings"] != remap.settings.model_dump():
         raise ResultError(f"{path}: was made with other settings; give another --out")
-    own = mapper.voxels
-    if isinstance(own.store, TileStore):
-        own.origin_m = origin_of(path, arrays["origin_m"])
+    voxels, names = mapper.voxels, ("coords", "log_odds", "seen", "origin_m")
+    if isinstance(voxels.store, TileStore):
+        voxels.origin_m = origin_of(path, arrays["origin_m"])
     else:
-        blocks = (arrays[name] for name in ("coords", "log_odds", "seen", "origin_m"))
-        mapper.voxels = map_from_blocks(path, remap.settings.voxel_m, *blocks)
+        blocks = (arrays[name] for name in names)
+        voxels = map_from_blocks(path, remap.settings.voxel_m, *blocks)
     state = {
         name.removeprefix("state_"): arrays[name] for name in arrays if name.startswith("state_")
     }
-    if state:
-        mapper.load(state)
-    if own.block_count:  # a mapper that reads its voxels off others has them from its state
-        own.origin_m = mapper.voxels.origin_m
-        mapper.voxels = own
+    give_back(mapper, voxels, state)
     remap.fans.extend(FanGeometry(**fan | {"mount": Pose(**fan["mount"])}) for fan in told["fans"])
     remap.brightest = float(told["brightest"])
     remap.pings, remap.path_m = int(told["pings"]), float(told["path_m"])

@@ -24,7 +24,7 @@ from insonify.mission.result import MapResult
 from insonify.planning.active import EntropySettings
 from insonify.planning.entropy import entropy_map
 from insonify.results.files import CONFIG, load_result, save_result
-from insonify.results.mappers import load_state, save_mapper
+from insonify.results.mappers import give_back, load_state, save_mapper
 from insonify.sonar.devices import device_of
 
 MAP = "map.zarr"
@@ -132,8 +132,7 @@ def load_mapper(path: Path | str, memory_bytes: int | None = None) -> Mapper:
     voxels = load_map(path, memory_bytes=memory_bytes)
     folder = path if path.is_dir() and path.suffix != ".zarr" else path.parent
     mapper = empty_mapper(folder, voxels.voxel_m)
-    mapper.voxels = voxels
-    load_state(mapper, folder)
+    give_back(mapper, voxels, load_state(mapper, folder))
     return mapper
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from insonify.errors import ResultError
 from insonify.io.archives import read_archive
 from insonify.mapping.mapper import Mapper
+from insonify.mapping.voxels import VoxelMap
+from insonify.types import Array
 
 STATE = "mapper.npz"
 _FORMAT, _VERSION = "insonify-mapper", 1
@@ -29,20 +32,34 @@ def save_mapper(mapper: Mapper, folder: Path) -> None:
             )
 
 
-def load_state(mapper: Mapper, folder: Path) -> None:
-    """Give a mapper back what `save_mapper` wrote of one of its kind, if it wrote anything.
+def give_back(mapper: Mapper, voxels: VoxelMap, state: Mapping[str, Array]) -> None:
+    """Have a mapper with nothing mapped go on with a map, and with what it kept besides.
+
+    A mapper that reads its voxels off others has them from these, and they follow later pings.
+    """
+    own = mapper.voxels
+    mapper.voxels = voxels
+    if state:
+        mapper.load(state)
+    if own is not voxels and own.block_count:
+        own.origin_m = voxels.origin_m
+        mapper.voxels = own
+
+
+def load_state(mapper: Mapper, folder: Path) -> dict[str, Array]:
+    """What `save_mapper` wrote of a mapper of this kind, nothing if it wrote nothing.
 
     Raises:
         ResultError: The file is damaged, or another mapper's.
     """
     path = folder / STATE
     if not path.is_file():
-        return
+        return {}
     arrays = read_archive(path, _FORMAT, _VERSION, ResultError)
     if str(arrays.get("mapper")) != mapper.name:
         raise ResultError(
             f"{path}: the state of mapper {arrays.get('mapper')}, not of {mapper.name}"
         )
-    mapper.load(
-        {name.removeprefix("state_"): arrays[name] for name in arrays if name.startswith("state_")}
-    )
+    return {
+        name.removeprefix("state_"): arrays[name] for name in arrays if name.startswith("state_")
+    }
