@@ -204,7 +204,7 @@ def _ctrl_c_once_it_waits(done: threading.Event) -> None:
 def _insonify(words: list[str], shown: str) -> str:
     """A command line, to its good end; what it printed."""
     done = threading.Event()
-    serves = words[1] == "view" or "--live" in words
+    serves = words[1] == "view" or not {"--live", "--view"}.isdisjoint(words)
     if serves:
         threading.Thread(target=_ctrl_c_once_it_waits, args=[done], daemon=True).start()
     out = StringIO()
