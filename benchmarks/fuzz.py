@@ -248,7 +248,7 @@ READERS = (
     Reader("map (.ot)", _map(".ot"), load_map),
     Reader("map (.zarr)", _map(".zarr", "zarr.json"), load_map, _zarr),
     Reader("map (.zarr), array", _map(".zarr", "log_odds/zarr.json"), load_map, _zarr),
-    Reader("map (.zarr), chunk", _map(".zarr", "log_odds/c/0/0"), load_map, _zarr),
+    Reader("map (.zarr), chunk", _map(".zarr", "log_odds/c/0/0/0"), load_map, _zarr),
 )
 
 
