@@ -203,7 +203,7 @@ def _bare_mcap(folder: Path, rng: np.random.Generator) -> Path:
 
 
 def _map(suffix: str, inner: str = "") -> Make:
-    """A map, or a file inside one that is a folder."""
+    """A map, or the first file of a kind inside one that is a folder."""
 
     def make(folder: Path, rng: np.random.Generator) -> Path:
         voxels = VoxelMap(0.1)
@@ -211,7 +211,8 @@ def _map(suffix: str, inner: str = "") -> Make:
         voxels.log_odds[slots] = rng.normal(size=(len(slots), 512)).astype(np.float32)
         voxels.seen[slots] = IN_VIEW | OBSERVED
         save_map(voxels, folder / f"map{suffix}")
-        return folder / f"map{suffix}" / inner
+        path = folder / f"map{suffix}"
+        return min(path.glob(inner)) if inner else path
 
     return make
 
@@ -248,7 +249,8 @@ READERS = (
     Reader("map (.ot)", _map(".ot"), load_map),
     Reader("map (.zarr)", _map(".zarr", "zarr.json"), load_map, _zarr),
     Reader("map (.zarr), array", _map(".zarr", "log_odds/zarr.json"), load_map, _zarr),
-    Reader("map (.zarr), chunk", _map(".zarr", "log_odds/c/0/0/0"), load_map, _zarr),
+    Reader("map (.zarr), blocks", _map(".zarr", "coords/c/0/0"), load_map, _zarr),
+    Reader("map (.zarr), chunk", _map(".zarr", "log_odds/c/*/*/*"), load_map, _zarr),
 )
 
 

@@ -66,7 +66,7 @@ def test_two_workers_map_as_one_process(tmp_path: Path, rng: np.random.Generator
     (tmp_path / "cluster.py").write_text(CLUSTER)
     (tmp_path / "config.toml").write_text("[mapping]\nvoxel_m = 0.1\n")
     what = ["a.npz", "b.npz", "--config", "config.toml", "--json"]
-    here = _run("-m", "insonify", "map", *what, "--out", "here", "--memory", "50MB", cwd=tmp_path)
+    here = _run("-m", "insonify", "map", *what, "--out", "here", "--memory", "500MB", cwd=tmp_path)
     there = _run("cluster.py", *what, "--out", "there", cwd=tmp_path)
     assert (here.returncode, there.returncode) == (0, 0), here.stderr + there.stderr
     told = [json.loads(done.stdout) for done in (here, there)]
