@@ -374,7 +374,7 @@ class VoxelMap(Told):
             short = memory.shortage(needed)
         else:
             return
-        raise MemoryLimitError(f"{what} would need {short}; give a smaller part (--region)")
+        raise MemoryLimitError(f"{what} would need {short}; give a smaller box (--region)")
 
 
 def touching(coords: Int32, block_m: float, box: Box) -> Bool:
